@@ -26,7 +26,7 @@ METADATA := pyproject.toml setup.py setup.cfg
 
 .PHONY: help sim view test test-lowest test-without-ros graphics gallery picture pages paper benchmark \
 	benchmark-quick benchmark-speed benchmark-speed-quick benchmark-latency benchmark-control \
-	benchmark-fit benchmark-pair references real-arm stability stretch stress stress-quick docs clean
+	benchmark-fit references real-arm stability stretch stress stress-quick docs clean
 
 help: ## list the targets
 	@sed -n 's/^\([a-z-]*\):.*## /\1\t/p' $(MAKEFILE_LIST) | expand -t 24
@@ -84,13 +84,10 @@ docs: $(VENV)/.docs ## make a site of the pages, build/docs
 	@$(BIN)/python -m sphinx -EqW --keep-going doc build/docs
 	@echo "open build/docs/index.html in a browser"
 
-benchmark: $(VENV)/.benchmark ## fill doc/benchmark.md, half an hour
+benchmark: $(VENV)/.benchmark ## measure and fill doc/benchmark.md and README.md, 20 minutes
 	@$(BIN)/python -m benchmark.accuracy.work_precision
 
-benchmark-pair: $(VENV)/.benchmark ## time the best of exudyn on the paper's scene, half a minute
-	@$(BIN)/python -m benchmark.accuracy.pair
-
-benchmark-quick: $(VENV)/.benchmark ## do a part of make benchmark, two minutes
+benchmark-quick: $(VENV)/.benchmark ## do a part of make benchmark
 	@$(BIN)/python -m benchmark.accuracy.work_precision --quick
 
 references: $(VENV)/.benchmark ## compute the finite-element references again

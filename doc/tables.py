@@ -78,19 +78,122 @@ def _row(parameter):
     return f'`{parameter.name}`', shown, parameter.rule, f'{parameter.meaning}{unit}{live}'
 
 
+def _measured(part):
+    """Return the last two runs of a part of `make benchmark`, None before the first one."""
+    runs = json.loads((ROOT / 'doc' / 'benchmark' / 'work_precision.json').read_text())[part]
+    return [None, *runs][-2:]
+
+
+def _two_digits(value):
+    return f'{float(f"{value:.2g}"):g}'
+
+
+def _time(seconds):
+    return f'{_two_digits(seconds)} s' if seconds >= 1.0 else f'{_two_digits(1e3 * seconds)} ms'
+
+
+def _goals(run):
+    return [f'{goal:g} m' for goal in run['goals_m']]
+
+
+def _best(run, kind):
+    """Return the name and figures of the cheapest method of a kind for each goal, or None."""
+    cheapest = []
+    for column in range(len(run['goals_m'])):
+        found = [(name, each['best'][column]) for name, each in run['methods'].items()
+                 if each['kind'] == kind and each['best'][column]]
+        cheapest.append(min(found, key=lambda each: each[1]['seconds'], default=None))
+    return cheapest
+
+
+def _ratio(above, below, key='seconds'):
+    return _two_digits(above[key] / below[key]) if above and below else '-'
+
+
+def _ratios(part):
+    """Return rows of the times of the best other method over those of `exact`, in two runs."""
+    rows = []
+    for key, words in (('seconds', 'solver'), ('whole_s', 'end to end')):
+        before, now = ([_ratio(other and other[1], own, key) for other, own in zip(
+            _best(run, 'engine'), run['methods']['exact']['best'])] if run else 3 * ['no run']
+            for run in _measured(part))
+        rows.append((f'ratio, {words} (in the run before)',
+                     *(f'**{each}** ({earlier})' for each, earlier in zip(now, before))))
+    return rows
+
+
+def _cell(found):
+    return (f'{_time(found["seconds"])}, {_time(found["whole_s"])}: {found["settings"]}'
+            if found else 'not reached')
+
+
 def benchmark():
-    """Return the cheapest runs, or two runs extrapolated, for errors on the paper's scene."""
-    found = json.loads((ROOT / 'doc' / 'benchmark' / 'pair.json').read_text())
-    cheapest = {name: [min((each for each in found[name] if each['error_m'] <= goal),
-                           key=lambda each: each['seconds']) for goal in found['goals_m']]
-                for name in ('timo_sim', 'exudyn')}
+    """Return what the paper's scene takes by `exact` and by the best of the other engines."""
+    _, run = _measured('paper')
     return _table(
-        ('for an error in w(l) below', *(f'{goal:g} m' for goal in found['goals_m'])),
-        *((shown, *(f'{each["seconds"]:.2g} s ({each["settings"]})' for each in cheapest[name]))
-          for name, shown in (('timo_sim', 'timo_sim, `exact`'),
-                              ('exudyn', 'exudyn, geometrically exact'))),
-        ('ratio', *(f'**{rival["seconds"] / own["seconds"]:.0f}**' for own, rival in zip(
-            cheapest['timo_sim'], cheapest['exudyn']))))
+        ('for an error in w(l) below', *_goals(run)),
+        ('timo_sim, `exact`', *map(_cell, run['methods']['exact']['best'])),
+        ('the best of the others', *(f'{each[0]}: {_cell(each[1])}' if each else 'not reached'
+                                     for each in _best(run, 'engine'))), *_ratios('paper'),
+        ('solver, by the reduced model x by the step', *_gains(run)))
+
+
+def _scene(part):
+    """Return the function that makes the tables of a scene."""
+    def tables():
+        _, run = _measured(part)
+        rows = [(name, *map(_cell, each['best']),
+                 f'{each["least_error_m"]:.1e} m' if each['least_error_m'] else '-')
+                for name, each in run['methods'].items()]
+        return (_table(('error in w(l) below', *_goals(run), 'least error'), *rows) + '\n'
+                + _table(('the best of the others over `exact`', *_goals(run)), *_ratios(part))
+                + f'\nReference: {run["reference"]}.\n\n' + _machine(run))
+    return tables
+
+
+def _machine(run):
+    shown = ', '.join(f'{name} {value}' for name, value in run['machine'].items())
+    return f'Measured on: {shown}.\n'
+
+
+def benchmark_gain():
+    """Return how much of the ratio the reduced model gives, and how much the time step."""
+    rows = []
+    for part in 'paper', 'torque', 'spin_up', 'cantilever':
+        _, run = _measured(part)
+        rows.append((part, *(f'{goal}: {gain}' for goal, gain in zip(_goals(run), _gains(run)))))
+    return _table(('scene', *3 * ('reduced model x step',)), *rows)
+
+
+def _gains(run):
+    """Return, for each goal, the times of the best other method over RK4 and of RK4 over ours."""
+    return [f'{_ratio(best and best[1], peer)} x {_ratio(peer, own)}' for best, peer, own in zip(
+        _best(run, 'engine'), *(run['methods'][name]['best'] for name in ('RK4', 'exact')))]
+
+
+def benchmark_bend():
+    """Return errors of an arm that rests far bent."""
+    _, run = _measured('large_deflection')
+    return f'The tip turns by {run["angle_deg"]:.1f} degrees.\n\n' + _table(
+        ('formulation', 'N', 'tip rotation, deg off', 'tip deflection, m off',
+         'tip shortening, m off'), *(map(str, row) for row in run['rows']))
+
+
+def benchmark_cold():
+    """Return the times from the start of a process to its first result."""
+    before, run = (run and run['seconds'] for run in _measured('cold_starts'))
+    return _table(('', 'cold start', 'in the run before', 'the next process'), *(
+        (name, f'{cold:.1f} s', f'{before[name][0]:.1f} s' if before else 'no run',
+         f'{warm:.1f} s')
+        for name, (cold, warm) in run.items()))
+
+
+def cold_start():
+    """Return the sentence about the cold start of this package."""
+    cold, warm = _measured('cold_starts')[1]['seconds']['timo_sim']
+    return (f'A cold start takes {cold:.1f} s of wall time, the same process again {warm:.1f} s: '
+            'from the start of Python to the result of `simulate` with its measured error, in an '
+            'installation without machine code on disk (`make benchmark`).\n')
 
 
 def _fits(part):
@@ -194,7 +297,10 @@ def fit_windows():
 
 
 TABLES = {'commands': commands, 'outputs': published, 'parameters': parameters,
-          'benchmark': benchmark, 'fit_machine': fit_machine, 'fit_coverage': fit_coverage,
+          'benchmark': benchmark, 'benchmark_gain': benchmark_gain,
+          **{part: _scene(part) for part in ('paper', 'torque', 'spin_up', 'cantilever')},
+          'benchmark_bend': benchmark_bend, 'benchmark_cold': benchmark_cold,
+          'cold_start': cold_start, 'fit_machine': fit_machine, 'fit_coverage': fit_coverage,
           'fit_unidentified': fit_unidentified, 'fit_time': fit_time,
           'fit_outliers': fit_outliers, 'fit_windows': fit_windows}
 

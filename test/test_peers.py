@@ -11,7 +11,9 @@
 import numpy as np
 import pytest
 
+from benchmark.accuracy.links import rigid_links, RULES
 from oracles import peers
+from oracles.references import ROOT, world
 import timo_sim
 
 SCENE = {'model.formulation': 'newton', 'model.modes': 2, 'initial.shaft_velocity': 1.0,
@@ -49,3 +51,20 @@ def test_methods_with_fixed_steps_have_their_order(method, order, truth):
         errors.append(np.abs(motions[-1] - truth).max())
     observed = np.log2(np.array(errors[:-1]) / errors[1:])
     assert observed == pytest.approx(order, abs=0.3)
+
+
+@pytest.mark.filterwarnings('ignore::timo_sim.ModelWarning')
+@pytest.mark.parametrize('rule', RULES)
+def test_a_chain_of_links_tends_to_the_arm(rule):
+    """An arm that hardly shears is the limit of its chains, with errors of second order."""
+    scene = timo_sim.load_scene(ROOT / 'config' / 'paper.yaml', {
+        'model.modes': 6, 'arm.shear_modulus': 27e12, 'integrator.step': 0.005})
+    truth = timo_sim.simulate(scene, 0.5, sample_every=2, estimate=False)
+    errors = []
+    for links in (5, 10, 20):
+        _, theta, carrier, along, across = rigid_links(
+            scene, links, 1e-4, 0.5, 100, rule=rule, identified=False)
+        tip = world(theta, carrier, along, across)
+        errors.append(np.abs(tip - truth.position(2.0)[1:]).max())
+    observed = np.log2(np.array(errors[:-1]) / errors[1:])
+    assert observed == pytest.approx(2.0, abs=0.2)

@@ -8,9 +8,9 @@
 
 """What `work_precision.py` measures: scenes with a reference, and methods with their settings."""
 
-from dataclasses import dataclass, field
+from dataclasses import dataclass
+from functools import cached_property, lru_cache, partial
 import math
-import statistics
 import time
 from typing import Any, Callable
 
@@ -18,17 +18,15 @@ import exudyn
 import numpy as np
 
 from benchmark import ROOT
-from benchmark.accuracy import rivals
-from oracles import finite_elements, floating_frame, peers
-from oracles.references import CANTILEVER, read, spin_up, TORQUE, world
+from benchmark.accuracy import links, rivals
+from oracles import finite_elements, peers
+from oracles.references import CANTILEVER, read, spin_up, TORQUE
 import timo_sim
 from timo_sim.model import FORMULATIONS
-from timo_sim.simulation.simulator import Simulator
 
-OWN = tuple(FORMULATIONS)
-ENGINE, REDUCED = 'exudyn, geometrically exact', 'exudyn, reduced floating frame'
-CHAIN, ROD, DISCRETE, SOFT = (
-    'MuJoCo, hinged links', 'PyElastica', 'dismech-newton', 'soromox')
+OWN, INTEGRATOR, ENGINE = 'timo_sim', 'integrator', 'engine'  # kinds of methods
+# Neighbours differ by a factor of 1.5 or 4/3, every other one by 2.
+COUNTS = (1, 2, 3, 4, 6, 8, 12, 16, 24, 32, 48, 64, 96, 128, 192, 256)
 
 
 @dataclass
@@ -41,252 +39,218 @@ class Scene:
     duration: float     # [s]
     period: float       # of the reference [s]
     drive: tuple | None  # of the shaft: angle, speed, acceleration as functions of time
-    arm: str            # of the reference, in words
     goals: tuple = (1e-3, 1e-4, 1e-5)  # errors in the tip deflection to be reached [m]
-    columns: dict = field(default_factory=dict)
 
-    def load(self, overrides=None):
-        """Return the scene with overrides by dotted name."""
-        return timo_sim.load_scene(self.source, overrides)
+    def load(self, values=None):
+        """Return the scene with values by dotted name."""
+        return timo_sim.load_scene(self.source, values)
 
-    @property
+    @cached_property
+    def arm(self):
+        """The arm."""
+        return self.load().manipulator.arm
+
+    @cached_property
+    def resting(self):
+        """The scene as engines take it: the drive of a shaft begins at 0."""
+        return self.load({'initial.shaft': 0.0} if self.drive else None)
+
+    @cached_property
     def held(self):
         """Whether the carrier is held and the shaft driven or locked."""
         return 'theta_rad' not in read(self.name)[1]
 
-    @property
-    def length(self):
-        """Length of the arm [m]."""
-        return self.load().manipulator.arm.length
-
 
 SCENES = [
     Scene('paper', "the paper's scene, Table 4, 10 s", ROOT / 'config' / 'paper.yaml', 10.0,
-          0.01, None, 'that stretches (E A of its section)'),
-    Scene('torque', 'torque steps, +20, -20, 0 N m, 5 s', TORQUE, 5.0, 0.01, None,
-          'that stretches (E A of its section)'),
+          0.01, None),
+    Scene('torque', 'torque steps, +20, -20, 0 N m, 5 s', TORQUE, 5.0, 0.01, None),
     Scene('spin_up', 'spin-up of a 10 m arm, 20 s', ROOT / 'config' / 'spin_up.yaml', 20.0, 0.02,
-          spin_up(), 'that does not stretch'),
+          spin_up()),
     Scene('cantilever', 'a clamped 10 m arm let go under its weight, 3 s', CANTILEVER, 3.0, 0.02,
-          None, 'that stretches (E A of its section)', (1e-2, 1e-3, 1e-4)),
+          None, (1e-2, 1e-3, 1e-4)),
 ]
 
 
-@dataclass
-class Case:
-    """A method with its settings: what to run, and what came out."""
+@dataclass(frozen=True)
+class Method:
+    """
+    A method with a grid of settings: sizes and steps, both from coarse to fine.
 
-    method: str
-    settings: str
-    run: Callable    # () -> (seconds, function() -> dict of columns), or None if it diverges
-    order: tuple = ()
-    times: list = field(default_factory=list)
-    errors: dict | None = None
+    `run(scene, checked, size, step)` returns the CPU time of the solver [s] and the tip deflection
+    [m] at the samples after the start, or None if the run fails; `checked` is the scene with the
+    `values(size, step)`. `simulate`, of the same arguments, is what a user calls if that is more
+    than `run`. `orders` are those of the error in the size and in the step, by which two runs
+    are extrapolated; 0 where they are not.
+    """
 
-    @property
-    def seconds(self):
-        """Median time [s]."""
-        return statistics.median(self.times)
-
-
-def tip_columns(theta, carrier, along, across):
-    """Return what is compared, by name: theta [rad], tip deflection and tip position [m]."""
-    return {'theta': theta, 'w_l': across, 'tip': world(theta, carrier, along, across)}
+    name: str
+    kind: str
+    sizes: tuple
+    steps: tuple
+    run: Callable
+    label: Callable  # (checked, size, step) -> settings in words
+    orders: tuple = (0, 0)
+    values: Callable = lambda size, step: {}
+    simulate: Callable | None = None
+    outside: float = 0.0  # part of the size that is not a part of the arm
 
 
 def of_motions(model, scene, motions):
-    """Return `tip_columns` of motions, shape (n, 2 (3 + N))."""
-    tip = model.at([scene.length])
-    count = len(model.modes)
-    place = model.centre_line(motions[:, 3:3 + count], tip)[:, 0]
-    return tip_columns(motions[:, 2], motions[:, :2], *place.T)
+    """Return the tip deflection [m] of motions, shape (n, 2 (3 + N))."""
+    tip = model.at([scene.arm.length])
+    return model.centre_line(motions[:, 3:3 + len(model.modes)], tip)[:, 0, 1]
 
 
-def of_reference(scene):
-    """Return the comment of the stored reference, and its `tip_columns`."""
-    comment, stored = read(scene.name)
-    theta = stored.get('theta_rad')
-    carrier = np.zeros((len(stored['t']), 2))
-    if theta is None:
-        theta = np.array([scene.drive[0](t) if scene.drive else 0.0 for t in stored['t']])
-    else:
-        carrier = np.column_stack([stored['x_c_m'], stored['y_c_m']])
-    return comment, tip_columns(theta, carrier, scene.length + stored['u_l_m'], stored['w_l_m'])
+def _every(scene, step):
+    return round(max(scene.period, step) / step)
 
 
-def errors_of(columns, truth, stride):
-    """Return the largest and root mean square differences from each stride-th reference sample."""
-    result = {}
-    for name, values in columns.items():
-        difference = values - truth[name][stride::stride][:len(values)]
-        size = np.abs(difference) if difference.ndim == 1 else np.hypot(*difference.T)
-        result[name] = float(size.max())
-        result[f'{name}_rms'] = float(np.sqrt(np.mean(size**2)))
-    return result
-
-
-def own_case(scene, formulation, modes, step):
-    """Return a case of this package."""
-    period = max(scene.period, step)
-    simulator = Simulator(scene.load({
-        'model.formulation': formulation, 'model.modes': modes, 'integrator.step': step}))
+def _own(scene, checked, size, step):
+    simulator = timo_sim.Simulator(checked)
     simulator.warm_up()
-
-    def run():
-        simulator.reset()
-        steps, every = round(scene.duration / step), round(period / step)
-        start = time.process_time()
-        try:
-            samples = simulator.advance(steps, sample_every=every)[0][1:]
-        except timo_sim.DivergenceError:
-            return None
-        seconds = time.process_time() - start
-        return seconds, lambda: of_motions(simulator.model, scene, samples)
-    return Case(formulation, f'N = {modes}, h = {1e3 * step:g} ms', run, (modes, step))
+    begun = time.process_time()
+    try:
+        samples = simulator.advance(round(scene.duration / step),
+                                    sample_every=_every(scene, step))[0][1:]
+    except timo_sim.DivergenceError:
+        return None
+    return time.process_time() - begun, of_motions(simulator.model, scene, samples)
 
 
-def fixed_step_case(scene, method, modes, step):
-    """Return a case of a compiled peer on the `exact` equations."""
-    checked = scene.load({'model.modes': modes, 'integrator.step': step})
-    model, start = checked.build(), checked.initial_motion()
-    peers.fixed_step(method, model, start, checked.load.stages(0, 1, step), step, 1)  # compiles
-
-    def run():
-        begin = time.process_time()
-        loads = checked.load.stages(0, round(scene.duration / step), step)
-        samples = peers.fixed_step(method, model, start, loads, step,
-                                   round(max(scene.period, step) / step))
-        seconds = time.process_time() - begin
-        if samples is None:
-            return None
-        return seconds, lambda: of_motions(model, scene, samples)
-    return Case(method, f'N = {modes}, h = {1e3 * step:g} ms', run, (modes, step))
+def _simulate(scene, checked, size, step):
+    timo_sim.simulate(checked, scene.duration, _every(scene, step))
 
 
-def adaptive_case(scene, method, modes, tolerance):
-    """Return a case of a SciPy solver on the `exact` equations."""
-    checked = scene.load({'model.modes': modes})
-    model, start = checked.build(), checked.initial_motion()
-    load, jumps = peers.load_function(checked, scene.drive)
+def _fixed_step(method, scene, checked, size, step):
+    model = checked.build()
+    peers.system_of(model)  # compiles
+    begun = time.process_time()
+    loads = checked.load.stages(0, round(scene.duration / step), step)
+    samples = peers.fixed_step(method, model, checked.initial_motion(), loads, step,
+                               _every(scene, step))
+    seconds = time.process_time() - begun
+    return None if samples is None else (seconds, of_motions(model, scene, samples))
+
+
+def _adaptive(method, scene, checked, size, tolerance):
+    model, (load, jumps) = checked.build(), peers.load_function(checked, scene.drive)
+    times, start = np.arange(round(scene.duration / scene.period) + 1) * scene.period, (
+        checked.initial_motion())
     model.rate(model.state(start), load(0.0))  # compiles
-    times = np.arange(round(scene.duration / scene.period) + 1) * scene.period
-
-    def run():
-        begin = time.process_time()
-        samples = peers.adaptive(method, model, start, load, jumps, times, tolerance)
-        seconds = time.process_time() - begin
-        return seconds, lambda: of_motions(model, scene, samples)
-    return Case(method, f'N = {modes}, rtol = {tolerance:g}', run, (modes, tolerance))
+    begun = time.process_time()
+    samples = peers.adaptive(method, model, start, load, jumps, times, tolerance)
+    return time.process_time() - begun, of_motions(model, scene, samples)
 
 
-def engine_case(scene, elements, step):
-    """Return a case of exudyn with geometrically exact elements."""
-    checked = scene.load({'initial.shaft': 0.0} if scene.drive else None)
-
-    def run():
-        try:
-            found = finite_elements.simulate(
-                checked, elements, step, scene.duration,
-                round(max(scene.period, step) / step), scene.drive,
-                # The reference of the driven arm is inextensible, as the other methods are.
-                axial_factor=100.0 if scene.drive else 1.0)
-        except exudyn.SolverError:
-            return None
-        return found['solver_seconds'], lambda: _of_engine(scene, found)
-    return Case(ENGINE, f'{elements} elements, h = {1e3 * step:g} ms', run, (elements, step))
+def _exudyn(scene, checked, size, step, **more):
+    try:
+        found = finite_elements.simulate(checked, size, step, scene.duration,
+                                         _every(scene, step), **more)
+    except exudyn.SolverError:
+        return None
+    return found['solver_seconds'], found['w_l_m'][1:]
 
 
-def _of_engine(scene, found):
-    # `tip_columns` of what `finite_elements` or `floating_frame` found, after the start.
-    theta = found['theta_rad'][1:]
-    carrier = np.column_stack([found['x_c_m'], found['y_c_m']])[1:]
-    along = found['u_l_m'][1:] if 'u_l_m' in found else np.zeros(len(theta))
-    return tip_columns(theta, carrier, scene.length + along, found['w_l_m'][1:])
+def _rival(function, scene, checked, size, step, *more):
+    # A function of `rivals` or `soft_rods`.
+    seconds, *_, deflection = function(checked, size, step, scene.duration,
+                                       round(scene.period / step), scene.drive, *more)
+    return seconds, deflection
 
 
-def reduced_case(scene, modes, step):
-    """Return a case of exudyn's modally reduced floating frame."""
-    checked = scene.load()
-
-    def run():
-        found = floating_frame.simulate(checked, modes, step, scene.duration,
-                                        round(scene.period / step))
-        return found['solver_seconds'], lambda: _of_engine(scene, found)
-    return Case(REDUCED, f'{modes} modes, h = {1e3 * step:g} ms', run, (modes, step))
+def _whole_part(period, longest):
+    """Return the longest step that is a whole part of a period and at most `longest`."""
+    return period / math.ceil(period / longest)
 
 
-def rival_case(scene, method, label, size, step, function, *more):
-    """Return a case of a function of `rivals` or `soft_rods`."""
-    checked = scene.load({'initial.shaft': 0.0} if scene.drive else None)
-
-    def run():
-        seconds, *found = function(checked, size, step, scene.duration,
-                                   round(scene.period / step), scene.drive, *more)
-        return seconds, lambda: tip_columns(*found)
-    scaled = ''.join(f', {factor:g} {name}' for factor, name in zip(more, ('E A', 'rho I'))
-                     if factor != 1)
-    return Case(method, f'{label}, h = {1e3 * step:.3g} ms{scaled}', run, (size, step))
+def _with_step(words):
+    return lambda checked, size, step: f'{words.format(size)}, h = {1e3 * step:.3g} ms'
 
 
-def chain_case(scene, links):
-    """Return a case of MuJoCo in its longest stable step: it has errors of the mesh alone."""
-    longest = rivals.longest_step(scene.load(), links)
-    step = scene.period / math.ceil(scene.period / longest)
-    return rival_case(scene, CHAIN, f'{links} links', links, step, rivals.chain)
+def _integrators(scene):
+    """Return the methods of this package, and others for the same equations."""
+    halved = tuple(0.02 / 2**k for k in range(8))
+    steps = tuple(0.01 / count for count in COUNTS[:13])
+
+    def sized(modes, step, **more):
+        return {'model.modes': modes, 'integrator.step': step, **more}
+
+    for name in FORMULATIONS:
+        yield Method(name, OWN, tuple(range(1, 10)), halved, _own, _with_step('N = {}'), (0, 4),
+                     partial(sized, **{'model.formulation': name}), _simulate)
+    for name, order in zip(peers.FIXED_STEP, (4, 2, 2)):
+        yield Method(name, INTEGRATOR, (3, 4, 5, 6, 7, 8), steps, partial(_fixed_step, name),
+                     _with_step('N = {}'), (0, order), sized)
+    for name in ('DOP853', 'Radau'):
+        yield Method(name, INTEGRATOR, (3, 5, 8), (1e-2, 1e-4, 1e-6, 1e-8),
+                     partial(_adaptive, name),
+                     lambda _, modes, tolerance: f'N = {modes}, rtol = {tolerance:g}',
+                     values=lambda modes, tolerance: {'model.modes': modes})
 
 
-def rod_case(scene, elements, *factors):
-    """Return a case of PyElastica with factors of E A and rho I, in its longest stable step."""
-    longest = 0.97 * rivals.longest_step_of_rod(scene.load(), elements, *factors)
-    step = scene.period / math.ceil(scene.period / longest)
-    return rival_case(scene, ROD, f'{elements} elements', elements, step, rivals.elastica,
-                      *factors)
+def _engines(scene):
+    """Return what other engines offer."""
+    steps = tuple(scene.period / count for count in COUNTS)
+
+    def engine(name, sizes, steps, run, words, orders, **more):
+        return Method(name, ENGINE, sizes, steps, run,
+                      words if callable(words) else _with_step(words), orders, **more)
+
+    # The reference of the driven arm is inextensible, as the other methods are.
+    driven = {'drive': scene.drive, 'axial_factor': 100.0} if scene.drive else {}
+    for name, kind, least, order in (
+            ('exudyn, beams of two nodes', 'linear', 4, 2),
+            ('exudyn, beams of three nodes', 'quadratic', 2, 4),
+            ('exudyn, ANCF cables', 'cable', 4, 4)):
+        yield engine(name, tuple(least * count for count in COUNTS), steps,
+                     partial(_exudyn, kind=kind, **driven),
+                     '{} elements', (order, 2))
+
+    # Explicit steps of links are parts of the longest stable one.
+    @lru_cache(maxsize=None)
+    def link_step(count, part):
+        return _whole_part(scene.period, part * links.longest_step(scene.resting, count))
+
+    for name, function in ('MuJoCo, hinged links', rivals.chain), (
+            'rigid links, RK4', links.rigid_links):
+        yield engine(
+            name, COUNTS[1:], (1.0, 0.5, 0.25),
+            lambda scene, checked, count, part, function=function: _rival(
+                function, scene, checked, count, link_step(count, part)),
+            lambda _, count, part: f'{count} links, h = {1e3 * link_step(count, part):.3g} ms',
+            (2, 0))
+    yield engine('rigid links, implicit midpoint', COUNTS[1:], steps, partial(
+        _rival, partial(links.rigid_links, rule='implicit midpoint')), '{} links', (2, 2))
+    for integrator, order in ('RK4', 4), ('discrete', 1):
+        yield engine(f'MuJoCo, rod, {integrator}', COUNTS[1:], steps, partial(
+            _rival, partial(rivals.rod, integrator=integrator)), '{} parts', (2, order))
+    if scene.held:
+        yield from _rods(scene, engine, steps)
 
 
-def rods_of(scene, quick):
-    """Return the cases of a scene, if its carrier is held; the best found of each, by hand."""
-    if not scene.held:
-        return []
+def _rods(scene, engine, steps):
+    """Return rods for an arm on a held carrier."""
+    # Of PyElastica, the second axis is a factor of rho I, which allows longer steps.
+    def rod_step(checked, elements, factor):
+        return _whole_part(scene.period, 0.97 * rivals.longest_step_of_rod(
+            checked, elements, 1.0, factor))
+
+    yield engine(
+        'PyElastica', COUNTS[4:], (400, 100, 25, 6, 1),
+        lambda scene, checked, elements, factor: _rival(
+            rivals.elastica, scene, checked, elements, rod_step(checked, elements, factor), 1.0,
+            factor),
+        lambda checked, elements, factor: (
+            f'{elements} elements, h = {1e3 * rod_step(checked, elements, factor):.3g} ms, '
+            f'{factor} rho I'), (2, 0), outside=0.5)
+    yield engine('dismech-newton', COUNTS[4:], steps, partial(_rival, rivals.dismech),
+                 '{} elements', (2, 2), outside=0.5)
     from benchmark.accuracy import soft_rods  # JAX is slow to import
-    if scene.drive:
-        scaled = [(7, 1, 400), (10, 1, 400), (14, 1, 200), (20, 1, 1), (24, 1, 50), (40, 2, 10),
-                  (60, 2, 4)]
-        discrete = [(10, 0.01, 0.1), (20, 0.01, 0.1), (20, 0.005, 1), (30, 0.004, 1)]
-    else:
-        scaled = [(elements, 1, factor) for elements in (10, 20, 40, 60, 100)
-                  for factor in (100, 10, 1)]
-        discrete = [(elements, step, 1) for elements in (10, 20, 40)
-                    for step in (0.01, 0.005, 0.0025)]
-    soft = [(2, 0.01), (3, 0.004), (4, 0.002), (5, 0.0005), (6, 0.0005)]
-    few = slice(1) if quick else slice(None)
-    return [*(rod_case(scene, *settings) for settings in scaled[few]),
-            *(rival_case(scene, DISCRETE, f'{elements} elements', elements, step, rivals.dismech,
-                         factor) for elements, step, factor in discrete[few]),
-            *(rival_case(scene, SOFT, f'order {order}', order, step, soft_rods.soft_rod)
-              for order, step in soft[few])]
+    yield engine('soromox', (2, 3, 4, 5, 6), steps, partial(_rival, soft_rods.soft_rod),
+                 'order {}', (0, 5))
 
 
-def cases_of(scene, quick):
-    """Return the cases of a scene."""
-    steps = [0.02, 0.01, 0.005, 0.002, 0.001]
-    cases = [own_case(scene, formulation, modes, step)
-             for formulation in (OWN[:2] if quick else OWN)
-             for modes in ((2, 3, 5) if quick else range(1, 9))
-             for step in steps + ([] if quick else [0.0005, 0.0002, 0.0001])]
-    cases += [fixed_step_case(scene, method, modes, step) for method in peers.FIXED_STEP
-              for modes in ((5,) if quick else (3, 5))
-              for step in ([0.001] if quick else [0.005, 0.002, 0.001, 0.0005, 0.0002, 0.0001])]
-    cases += [adaptive_case(scene, method, modes, tolerance) for method in ('DOP853', 'Radau')
-              for modes in ((3,) if quick else (3, 5))
-              for tolerance in ((1e-4,) if quick else (1e-2, 1e-4, 1e-6, 1e-8))]
-    meshes = (20, 40) if quick else (20, 40, 60, 100, 200, 400)
-    coarse = [0.02, 0.01, 0.005, 0.002] if scene.drive else [0.005, 0.002, 0.001, 0.0005]
-    if not (quick and scene.drive):
-        cases += [engine_case(scene, elements, step) for elements in meshes
-                  for step in (coarse[1:3] if quick else coarse + (
-                      [0.001] if scene.drive else [0.0002, 0.0001]))]
-    if not scene.held:
-        cases += [reduced_case(scene, modes, step) for modes in ((5,) if quick else (3, 5, 8))
-                  for step in ([0.001] if quick else [0.005, 0.002, 0.001, 0.0005])]
-    cases += [chain_case(scene, links) for links in ((5, 10) if quick else (5, 10, 20, 40))]
-    return cases + rods_of(scene, quick)
+def methods_of(scene):
+    """Return the methods for a scene."""
+    return [*_integrators(scene), *_engines(scene)]

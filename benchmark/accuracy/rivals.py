@@ -9,14 +9,14 @@
 """
 What else a user might take for this manipulator, each in its own way.
 
-MuJoCo as a chain of hinged links, and two libraries of elastic rods, PyElastica and
-dismech-newton, for an arm on a held carrier. Both know the angle of an element in its middle
-only. So the first element has its middle at the root: half of it is outside the arm, and
-`elements` - 1/2 of them are the arm. That leaves errors of second order; to clamp an element that
-starts at the root, errors of first order.
+MuJoCo as a chain of hinged links and as one of its rods, and two libraries of elastic rods,
+PyElastica and dismech-newton, for an arm on a held carrier. Both know the angle of an element in
+its middle only. So the first element has its middle at the root: half of it is outside the arm,
+and `elements` - 1/2 of them are the arm. That leaves errors of second order; to clamp an element
+that starts at the root, errors of first order.
 
-`chain`, `elastica` and `dismech` take a scene, which is at rest and straight at first, the number
-of links or elements, step and duration [s], the number of steps from sample to sample, and
+`chain`, `rod`, `elastica` and `dismech` take a scene, which is at rest and straight at first, the
+number of parts or elements, step and duration [s], the number of steps from sample to sample, and
 theta(t) of a driven shaft with its derivatives, theta(0) = 0. They return the CPU time of the
 steps [s], and at the samples after the start theta, the carrier's position, and the place of the
 tip along and across the shaft, shapes (n,), (n, 2), (n,), (n,). Each imports its own library.
@@ -27,6 +27,8 @@ import time
 
 import numpy as np
 
+from benchmark.accuracy.links import chain_of, longest_step  # noqa: F401
+from oracles.references import world
 from timo_sim.model.layout import END, FORCE_X, FORCE_Y, MIDDLE, START, TORQUE
 
 _CHANNELS = [FORCE_X, FORCE_Y, TORQUE]
@@ -34,37 +36,54 @@ _NUMBERS = 2**22  # that a call of `rollout` returns
 _DRIVEN = 1e9  # inertia that makes a shaft follow its drive, whatever the arm does [kg m2]
 
 
-def longest_step(scene, links):
-    """Return about the longest stable step of `chain` [s], by its highest frequency."""
-    section, length = scene.manipulator.arm.section, scene.manipulator.arm.length / links
-    return 1.4 * length**2 / 4.0 * math.sqrt(
-        section.mass_per_length / section.bending_stiffness)
-
-
 def chain(scene, links, step, duration, every, drive=None):
     """
     Simulate a scene by MuJoCo, as a chain of rigid links whose hinges have springs.
 
-    A spring has the bending stiffness over the length of a link, at root and tip over half of it;
-    hinges know no shear and no stretch. (The cable of MuJoCo 3, a chain of ball joints, is no
-    longer in MuJoCo 4.) Runge-Kutta steps, because the implicit integrators of
-    MuJoCo are of first order and damp. Calls of `rollout` do many steps each.
+    They are those of `links.chain_of`; hinges know no shear and no stretch. Runge-Kutta steps,
+    because the implicit integrators of MuJoCo are of first order and damp.
     """
+    arm = chain_of(scene, links)
+    seconds, carrier, turn, bent = _roll_out(
+        scene, chain_model(arm, step, bool(drive)), step, duration, every, drive)
+    turned = np.cumsum(np.column_stack([np.zeros(len(bent)), bent]), axis=1)
+    return (seconds, turn + scene.values['initial.shaft'], carrier, np.cos(turned) @ arm.lengths,
+            np.sin(turned) @ arm.lengths)
+
+
+def rod(scene, parts, step, duration, every, drive=None, axial_factor=0.01, integrator='RK4'):
+    """
+    Simulate a scene by a rod of MuJoCo 4, a flex of dimension 1 with elasticity.
+
+    It is a discrete elastic rod without rotary inertia and shear, whose mass is at its vertices.
+    They are where `chain` has its hinges; the first edge is fixed to the shaft, the last one to
+    the end effector. It bends as its section, times the factor of the first frequency.
+
+    The edges have `axial_factor` times E A in Runge-Kutta steps, in those of the integrator
+    'discrete', which is of first order, a constraint in place of it.
+    """
+    arm = chain_of(scene, parts, lumped=True)
+    seconds, carrier, turn, moved = _roll_out(
+        scene, rod_model(arm, step, bool(drive), axial_factor, integrator), step, duration, every,
+        drive)
+    start, length = scene.values['initial.shaft'], scene.manipulator.arm.length
+    tip = moved[:, -3:-1] - carrier + length * np.array([math.cos(start), math.sin(start)])
+    return seconds, start + turn, carrier, *world(-start - turn, 0.0, *tip.T).T
+
+
+def _roll_out(scene, model, step, duration, every, drive):
+    # Seconds, and at the samples the carrier's place, the shaft's turn and the other coordinates.
     import mujoco
     from mujoco import rollout
 
-    locked = scene.values['motor.shaft'] == 'locked'
-    model = mujoco.MjModel.from_xml_string(_chain_xml(scene, links, step, bool(drive or locked)))
-    data, count = mujoco.MjData(model), round(duration / step)
-    loads = _mean_loads(scene, count, step)
-    if locked:
-        loads = np.zeros((count, 1))
-    elif drive:
+    count, axes = round(duration / step), len(scene.constraints.free_axes)
+    loads = scene.load.stages(0, count, step)[:, :, _CHANNELS]
+    loads = (loads[:, START] + 4.0 * loads[:, MIDDLE] + loads[:, END]) / 6.0
+    loads = loads[:, 2 - axes:2 - axes + model.nu]
+    if drive:
         middle = (np.arange(count) + 0.5) * step
         loads = _DRIVEN * np.array([[drive[2](t)] for t in middle])
-    elif len(scene.constraints.free_axes) == 0:
-        loads = loads[:, 2:]
-    data.qpos[len(loads[0]) - 1] = 0.0 if drive else scene.values['initial.shaft']
+    data = mujoco.MjData(model)
     state = np.empty(mujoco.mj_stateSize(model, mujoco.mjtState.mjSTATE_FULLPHYSICS))
     mujoco.mj_getState(model, data, state, mujoco.mjtState.mjSTATE_FULLPHYSICS)
     kept, seconds, part = [], 0.0, every * max(1, _NUMBERS // (every * len(state)))
@@ -76,51 +95,89 @@ def chain(scene, links, step, duration, every, drive=None):
         kept.append(found[0, every - 1::every, 1:1 + model.nq])
         state = found[0, -1]
     position = np.concatenate(kept)
-    shaft = loads.shape[1] - 1
-    angle = np.cumsum(position[:, shaft + 1:shaft + 1 + links], axis=1)
-    length = scene.manipulator.arm.length / links
-    carrier = position[:, :2] if shaft else np.zeros((len(position), 2))
-    return (seconds, position[:, shaft], carrier, length * np.cos(angle).sum(axis=1),
-            length * np.sin(angle).sum(axis=1))
+    nothing = np.zeros((len(position), 2))
+    return (seconds, position[:, :2] if axes else nothing,
+            position[:, axes] if model.nu > axes else nothing[:, 0], position[:, model.nu:])
 
 
-def _mean_loads(scene, count, step):
-    # Over each step, (steps, 3).
-    loads = scene.load.stages(0, count, step)[:, :, _CHANNELS]
-    return (loads[:, START] + 4.0 * loads[:, MIDDLE] + loads[:, END]) / 6.0
+def chain_model(arm, step, driven=False):
+    """Return MuJoCo's model of `links.Links`."""
+    inner, half = '', 0.5 * arm.lengths
+    for link in reversed(arm.each[1:]):
+        last = link == arm.each[-1]
+        inner = (f'<body pos="{_numbers(arm.lengths[link - 1], 0, 0)}"><joint type="hinge" '
+                 f'axis="0 0 1" stiffness="{_numbers(arm.springs[link - 1])}"/>'
+                 + _inertial((arm.rods[link], arm.inertia[link], half[link]),
+                             (last * arm.tip_mass, 0.0, arm.lengths[link])) + inner + '</body>')
+    root = _inertial((arm.rods[0], arm.inertia[0], half[0]))
+    return _model(arm.scene, step, driven, root, inner)
 
 
-def _inertial(mass, inertia, x=0.0):
-    inertia = ' '.join(3 * [repr(float(inertia))])
-    return f'<inertial pos="{x!r} 0 0" mass="{float(mass)!r}" diaginertia="{inertia}"/>'
+def rod_model(arm, step, driven=False, axial_factor=1.0, integrator='discrete'):
+    """Return MuJoCo's model of `rod`, made of `links.Links`."""
+    scene, section, part = arm.scene, arm.scene.manipulator.arm.section, arm.lengths[1]
+    start, half, lump = scene.values['initial.shaft'], 0.5 * arm.lengths[0], 0.5 * arm.rods[1]
+    along = np.array([math.cos(start), math.sin(start), 0.0])
+    slides = '<joint type="slide" axis="1 0 0"/><joint type="slide" axis="0 1 0"/>'
+    bodies = ''.join(
+        f'<body name="v{link}" pos="{_numbers(*(arm.lengths[:link].sum() * along))}">{slides}'
+        + _inertial((2.0 * lump, 1e-9, 0.0)) + '</body>' for link in arm.each[2:-1])
+    tip = _inertial((arm.rods[-1], arm.inertia[-1], -half), (lump, 0.0, -2.0 * half),
+                    (arm.tip_mass, 0.0, 0.0), along=along)
+    length = scene.manipulator.arm.length
+    bodies += (f'<body name="tip" pos="{_numbers(*(length * along))}">{slides}'
+               f'<joint type="hinge" axis="0 0 1"/>{tip}</body>')
+    root = _inertial((arm.rods[0], arm.inertia[0], half), (lump, 0.0, 2.0 * half), along=along)
+    names = ['shaft'] * 2 + [f'v{link}' for link in arm.each[2:-1]] + ['tip'] * 2
+    places = [-0.5 * part * along, 0.5 * part * along]
+    places = [*places, *[np.zeros(3)] * (len(names) - 4), *places]
+    # A round section with the bending stiffness of the springs, of any radius.
+    young = arm.springs[0] * part / (math.pi / 4.0)
+    edges = ''.join(f'{edge} {edge + 1} ' for edge in range(len(names) - 1))
+    explicit = integrator == 'RK4'
+    stretch = axial_factor * section.axial_stiffness / part
+    flex = (f'<deformable><flex name="rod" dim="1" radius="1" body="{" ".join(names)}" vertex="'
+            f'{_numbers(*np.concatenate(places))}" element="{edges}">'
+            '<contact contype="0" conaffinity="0" selfcollide="none"/>'
+            + f'<edge stiffness="{_numbers(stretch)}"/>' * explicit
+            + f'<elasticity young="{_numbers(young)}"/></flex></deformable>'
+            + '<equality><flex flex="rod" solref="0.0001 1"/></equality>' * (not explicit))
+    return _model(scene, step, driven, root, '', bodies, flex, integrator)
 
 
-def _chain_xml(scene, links, step, driven):
-    body, arm = scene.manipulator, scene.manipulator.arm
-    section, length = arm.section, arm.length / links
-    mass = section.mass_per_length * length
-    inertia = section.inertia_per_length * length + mass * length**2 / 12.0
-    joint = '<joint type="hinge" axis="0 0 1" stiffness="{!r}"/>'.format
-    root = tip = 2.0 * section.bending_stiffness / length
-    inner = (f'<body pos="{length!r} 0 0">' + joint(tip) * (body.end_effector_inertia > 0.0)
-             + _inertial(max(body.end_effector_mass, 1e-9), max(body.end_effector_inertia, 1e-9))
-             + '</body>')
-    for link in reversed(range(links)):
-        inner = (f'<body pos="{length if link else 0.0!r} 0 0">'
-                 + joint(section.bending_stiffness / length if link else root)
-                 + _inertial(mass, inertia, length / 2.0) + inner + '</body>')
-    slides = [f'<joint name="{name}" type="slide" axis="{axis}"/>' for name, axis in zip(
-        'xy', ('1 0 0', '0 1 0'))] if len(scene.constraints.free_axes) else []
-    armature = _DRIVEN if driven else 0.0
-    gravity = ' '.join(map(repr, map(float, scene.values['gravity'])))
-    motors = ''.join(f'<motor joint="{name}"/>' for name in [*'xy'[:len(slides)], 'shaft'])
-    return f"""<mujoco><compiler angle="radian"/>
-<option timestep="{step!r}" integrator="RK4" gravity="{gravity} 0">
+def _model(scene, step, driven, root, arm, bodies='', more='', integrator='RK4'):
+    # `root` and `arm` are on the shaft, `bodies` in the world.
+    import mujoco
+
+    mujoco.set_mju_user_warning(lambda text: None)  # of steps that diverge, in a file
+    joints = {name: f'<joint name="{name}" type="slide" axis="{axis}"/>' for name, axis in zip(
+        'xy', ('1 0 0', '0 1 0'))} if len(scene.constraints.free_axes) else {}
+    slides, turn = ''.join(joints.values()), 0.0 if bodies else scene.values['initial.shaft']
+    shaft = ''
+    if driven or scene.values['motor.shaft'] != 'locked':
+        joints['shaft'] = shaft = ('<joint name="shaft" type="hinge" axis="0 0 1" '
+                                   f'armature="{_DRIVEN * driven!r}"/>')
+    motors = ''.join(f'<motor joint="{name}"/>' for name in joints)
+    return mujoco.MjModel.from_xml_string(f"""<mujoco><compiler angle="radian"/>
+<option timestep="{step!r}" integrator="{integrator}" tolerance="1e-10"
+gravity="{_numbers(*scene.values['gravity'], 0)}">
 <flag contact="disable" autoreset="disable" energy="disable"/></option>
-<worldbody><body>{''.join(slides)}{_inertial(body.base_mass, 1.0)}
-<body><joint name="shaft" type="hinge" axis="0 0 1" armature="{armature!r}"/>
-{_inertial(1e-9, max(body.shaft_inertia, 1e-9))}{inner}</body></body></worldbody>
-<actuator>{motors}</actuator></mujoco>"""
+<worldbody><body>{slides}{_inertial((scene.manipulator.base_mass, 1.0, 0.0))}
+<body name="shaft" euler="0 0 {turn!r}">{shaft}{root}{arm}</body></body>{bodies}</worldbody>{more}
+<actuator>{motors}</actuator></mujoco>""")
+
+
+def _inertial(*parts, along=(1.0, 0.0, 0.0)):
+    # Of parts: mass, inertia about its own middle, and place of the middle.
+    mass, inertia, place = np.array(parts, dtype=float).T
+    middle = mass @ place / mass.sum()
+    inertia = inertia.sum() + mass @ (place - middle)**2
+    return (f'<inertial pos="{_numbers(*(middle * np.array(along)))}" mass="'
+            f'{_numbers(mass.sum())}" diaginertia="{_numbers(inertia, inertia, inertia)}"/>')
+
+
+def _numbers(*values):
+    return ' '.join(repr(float(value)) for value in values)
 
 
 def longest_step_of_rod(scene, elements, axial_factor=1.0, inertia_factor=1.0):
@@ -142,14 +199,15 @@ def longest_step_of_rod(scene, elements, axial_factor=1.0, inertia_factor=1.0):
 
 
 def elastica(scene, elements, step, duration, every, drive=None, axial_factor=1.0,
-             inertia_factor=1.0):
+             inertia_factor=1.0, tip_force=None, damping=None):
     """
     Simulate a scene by PyElastica, as a Cosserat rod of second order in explicit steps.
 
     Bending, shear, stretch, in three dimensions of which the arm uses two. A longer
     step needs more rotary inertia, which is small against the mass.
 
-    `axial_factor` and `inertia_factor` multiply E A and rho I of the section.
+    `axial_factor` and `inertia_factor` multiply E A and rho I of the section. For the authors'
+    example there are a force on the tip along y [N] and damping [1/s].
     """
     import elastica as library
 
@@ -186,7 +244,8 @@ def elastica(scene, elements, step, duration, every, drive=None, axial_factor=1.
             rate[0, 0] = 0.5 * part * spin * math.sin(turn)
             rate[1, 0] = -0.5 * part * spin * math.cos(turn)
 
-    class Rods(library.BaseSystemCollection, library.Constraints, library.Forcing):
+    class Rods(library.BaseSystemCollection, library.Constraints, library.Forcing,
+               library.Damping):
         pass
 
     system, stepper, tips = Rods(), library.PositionVerlet(), []
@@ -195,6 +254,12 @@ def elastica(scene, elements, step, duration, every, drive=None, axial_factor=1.
     if any(scene.values['gravity']):
         system.add_forcing_to(rod).using(
             library.GravityForces, acc_gravity=np.array([*scene.values['gravity'], 0.0]))
+    if tip_force:
+        system.add_forcing_to(rod).using(
+            library.EndpointForces, np.zeros(3), np.array([0.0, tip_force, 0.0]), 1e-9)
+    if damping:
+        system.dampen(rod).using(library.AnalyticalLinearDamper,
+                                 uniform_damping_constant=damping, time_step=step)
     system.finalize()
     stepper.step(system, 0.0, 1e-30)  # compiles
     begun = time.process_time()

@@ -9,6 +9,7 @@
 """What else a user of JAX might take for an arm on a held carrier: a rod of soromox."""
 
 from contextlib import contextmanager
+from functools import lru_cache
 import os
 import time
 
@@ -23,6 +24,8 @@ import jax.numpy as jnp  # noqa: E402
 import numpy as np  # noqa: E402
 from soromox.systems.components import JointSpec, LinkSpec  # noqa: E402
 from soromox.systems.gvs import GVS, GVSSegment, StrainBasisSpec  # noqa: E402
+
+from timo_sim import load_scene  # noqa: E402
 
 jax.config.update('jax_enable_x64', True)
 _DRIVEN = 1e12  # inertia that makes a shaft follow its drive, whatever the arm does [kg m2]
@@ -59,25 +62,21 @@ def rod(scene, order, driven):
     segment = GVSSegment(
         link=link, joint=JointSpec('revolute', axis='z') if driven else JointSpec.fixed(),
         basis=StrainBasisSpec('legendre', ('kappa_z',), [0, 0, order, 0, 0, 0]),
-        num_gauss_points=2 * order + 2)
+        num_gauss_points=max(5, 2 * order + 2))
     return GVS.from_segments([segment], gravity=jnp.array([*values['gravity'], 0.0]),
                              base_pose=jnp.array([0.0, 0.0, 0.0, 1.0, 0.0, 0.0, 0.0]))
 
 
-def soft_rod(scene, order, step, duration, every, drive=None):
-    """
-    Simulate a scene by soromox, straight and at rest at first, in explicit steps (Tsit5).
-
-    The shaft is locked at 0, or has the drive `oracles.references.spin_up`. What is returned is
-    that of `rivals.chain`; the time is that of a call after the one which compiles.
-    """
-    model = rod(scene, order, bool(drive))
-    times = jnp.arange(1, round(duration / step / every) + 1) * (step * every)
-    count = 2 * (model.num_velocities if drive else model.num_internal_dofs)
+@lru_cache(maxsize=None)
+def _compiled(values, order, times, driven):
+    # The function of the start and of the step that runs a scene of `values`.
+    model = rod(load_scene(dict(values)), order, driven)
+    times, length = jnp.array(times), model.segment_length.sum()
+    count = model.num_velocities if driven else model.num_internal_dofs
     shaft = jnp.zeros(model.num_velocities).at[0].set(_DRIVEN)
 
     def rate(t, y, _):
-        if not drive:
+        if not driven:
             return model.forward_dynamics(t, y)
         q, v, _ = model.split_state(y)
         mass, turning, weight = model.dynamics_terms(q, v)
@@ -88,19 +87,30 @@ def soft_rod(scene, order, step, duration, every, drive=None):
             mass + jnp.diag(shaft), force.at[0].add(_DRIVEN * acceleration))])
 
     @jax.jit
-    def run(start):
+    def run(start, step):
         found = diffrax.diffeqsolve(
             diffrax.ODETerm(rate), diffrax.Tsit5(), 0.0, times[-1], step, start,
             saveat=diffrax.SaveAt(ts=times), max_steps=None, throw=False)
-        length = model.segment_length.sum()
-        return found.ys[:, 0], jax.vmap(lambda y: model.forward_kinematics(
-            y[:count // 2], length))(found.ys)[:, :2, 3]
+        return found.ys[:, 0], jax.vmap(
+            lambda y: model.forward_kinematics(y[:count], length))(found.ys)[:, :2, 3]
 
+    start = jnp.zeros(2 * count)
+    jax.block_until_ready(run(start, float(times[0])))  # compiles
+    return run, start
+
+
+def soft_rod(scene, order, step, duration, every, drive=None):
+    """
+    Simulate a scene by soromox, straight and at rest at first, in explicit steps (Tsit5).
+
+    The shaft is locked at 0, or has the drive `oracles.references.spin_up`. What is returned is
+    that of `rivals.chain`; a scene is compiled once for each order.
+    """
+    times = np.arange(1, round(duration / step / every) + 1) * round(step * every, 12)
     with _one_core():
-        start = jnp.zeros(count)
-        jax.block_until_ready(run(start))  # compiles
+        run, start = _compiled(tuple(scene.values.items()), order, tuple(times), bool(drive))
         begun = time.process_time()
-        theta, tip = (np.array(part) for part in jax.block_until_ready(run(start)))
+        theta, tip = (np.array(part) for part in jax.block_until_ready(run(start, step)))
         seconds = time.process_time() - begun
     theta = theta if drive else np.zeros(len(tip))
     cosine, sine = np.cos(theta), np.sin(theta)

@@ -7,182 +7,316 @@
 # language governing permissions and limitations under the License.
 
 """
-Run time against error, with other integrators and other engines in the same run.
+Run time against error, with other integrators and other engines, and cold starts.
 
-`make benchmark` fills doc/benchmark.md and writes its plots and a JSON file with every figure;
-`make benchmark-quick` (`--quick`) prints a small selection in less than two minutes.
-
-The time is that of the solver alone, processor time of one thread, median over repetitions in
-which all methods take turns. The error is the largest over the run against the extrapolated
-finite-element reference, at its samples; root mean squares are stated, too.
+`make benchmark` writes the figures of the last two runs to doc/benchmark/work_precision.json,
+draws the plots, and fills the tables of doc/benchmark.md and README.md; `--quick` prints a small
+selection. Each method searches its grid of settings by itself, the cheapest first, until its
+budget of the solver's CPU time is used or nothing cheaper is left to find. A goal is reached by a
+setting, or by the extrapolation of two, whose error is below it, if that of its next finer
+neighbour is, too. The cheapest of these are timed again, all methods taking turns; a time is the
+least CPU time.
 """
 
+from dataclasses import dataclass, field
 from functools import partial
 from importlib.metadata import version
+import itertools
 import json
 import os
+from pathlib import Path
+import shutil
 import subprocess
 import sys
 from tempfile import TemporaryDirectory
+import time
 import warnings
 
 import matplotlib.pyplot as plt
 import numpy as np
 
 from benchmark import ROOT
-from benchmark.accuracy.cases import (
-    cases_of, CHAIN, DISCRETE, ENGINE, errors_of, of_reference, REDUCED, ROD, SCENES, SOFT)
-from benchmark.report import machine, make_page, table
+from benchmark.accuracy.cases import ENGINE, Method, methods_of, Scene, SCENES
+from benchmark.report import machine, parser
 from benchmark.timing import seconds
 from oracles import elastica
+from oracles.references import read
 import timo_sim
 
 RIVALS = ('exudyn', 'mujoco-core', 'pyelastica', 'dismech-newton', 'soromox', 'jax')
 FOLDER = ROOT / 'doc' / 'benchmark'
-# What a new process does for 0.1 s of a scene, the scene first.
-PAPER = "import timo_sim; scene = timo_sim.load_scene('config/paper.yaml'); "
+BUDGET, QUICK = 12.0, 0.5  # CPU time of the search of a method on a scene [s]
+REPEATED, TURNS = 2.0, 25  # CPU time of a setting that is timed again [s], and at most how often
+CANDIDATES = 3             # settings for a goal that are timed again
+COLD_STARTS, LONG = 3, 10.0  # the least counts; one that takes so long [s] is not repeated
+# What a new process does for 0.1 s of a scene: code that is not timed, and the code for it.
+PAPER = f"import timo_sim; scene = timo_sim.load_scene('{ROOT}/config/paper.yaml'); "
 CLAMPED = ('import timo_sim; from oracles.references import CANTILEVER; '
            'scene = timo_sim.load_scene(CANTILEVER); ')
 RIVAL = 'from benchmark.accuracy import rivals; rivals.'
 COLD = {
-    'timo_sim': ('', PAPER + 'timo_sim.simulate(scene, 0.1, estimate=False)'),
-    ENGINE: (PAPER, 'from oracles import finite_elements; '
-                    'finite_elements.simulate(scene, 20, 1e-3, 0.1, 10)'),
-    CHAIN: (PAPER, RIVAL + 'chain(scene, 10, 4e-4, 0.1, 25)'),
-    ROD: (CLAMPED, RIVAL + 'elastica(scene, 20, 1e-5, 0.1, 2000)'),
-    DISCRETE: (CLAMPED, RIVAL + 'dismech(scene, 20, 0.01, 0.1, 2)'),
-    SOFT: (CLAMPED, 'from benchmark.accuracy import soft_rods; '
-                    'soft_rods.soft_rod(scene, 3, 4e-3, 0.1, 5)')}
-STYLES = dict(zip(
-    ('exact', 'newton', 'newton_root_stress', 'RK4', 'implicit midpoint', 'generalized-alpha',
-     'DOP853', 'Radau', ENGINE, REDUCED, CHAIN, ROD, DISCRETE, SOFT),
-    zip('os^Dvp*hXP<>d8', (
-        '#0072B2', '#E69F00', '#009E73', '#56B4E9', '#CC79A7', '#999999', '#000000', '#B8860B',
-        '#D55E00', '#8B2500', '#4B0082', '#117733', '#AA4499', '#332288'))))
+    'timo_sim': PAPER + 'timo_sim.simulate(scene, 0.1)',
+    'exudyn': PAPER + ('from oracles import finite_elements; '
+                       'finite_elements.simulate(scene, 20, 1e-3, 0.1, 10)'),
+    'MuJoCo': PAPER + RIVAL + 'chain(scene, 10, 4e-4, 0.1, 25)',
+    'PyElastica': CLAMPED + RIVAL + 'elastica(scene, 20, 1e-5, 0.1, 2000)',
+    'dismech-newton': CLAMPED + RIVAL + 'dismech(scene, 20, 0.01, 0.1, 2)',
+    'soromox': CLAMPED + ('from benchmark.accuracy import soft_rods; '
+                          'soft_rods.soft_rod(scene, 3, 4e-3, 0.1, 5)')}
+MARKERS = 'os^Dvp*hXP<>d'  # one fewer than colours: all pairs differ
+COLOURS = ('#0072B2', '#E69F00', '#009E73', '#56B4E9', '#CC79A7', '#999999', '#000000', '#B8860B',
+           '#D55E00', '#8B2500', '#4B0082', '#117733', '#AA4499', '#332288')
+
+
+_UNUSED = itertools.count(1)
+
+
+@dataclass
+class Trial:
+    """A setting of a method on a scene, and what came out."""
+
+    scene: Scene
+    method: Method
+    size: float
+    step: float
+    deflection: np.ndarray | None = None  # of the tip [m], None if the run failed
+    solver: list = field(default_factory=list)  # CPU times [s]
+    whole: list = field(default_factory=list)   # of all that a user waits for [s]
+
+    @property
+    def settings(self):
+        """The setting in words."""
+        return self.method.label(self.scene.resting, self.size, self.step)
+
+    def load(self):
+        """Return the scene; for our code with a body that nothing has been computed for."""
+        if self.method.kind == ENGINE:
+            return self.scene.resting
+        density = self.scene.arm.section.density * (1.0 + 1e-13 * next(_UNUSED))
+        return self.scene.load({**self.method.values(self.size, self.step),
+                                'arm.density': density})
+
+    def run(self):
+        """Run once; return the CPU time, assembly included [s]."""
+        checked, begun = self.load(), time.process_time()
+        found = self.method.run(self.scene, checked, self.size, self.step)
+        span = time.process_time() - begun
+        if found:
+            self.solver.append(found[0])
+            self.deflection = found[1]
+        return span
+
+    def repeat(self):
+        """Run once more, and do what a user would."""
+        whole = self.run()
+        if self.method.simulate:
+            checked, begun = self.load(), time.process_time()
+            self.method.simulate(self.scene, checked, self.size, self.step)
+            whole = time.process_time() - begun
+        self.whole.append(whole)
+
+
+class Search:
+    """The settings of a method on a scene that are tried within a budget."""
+
+    def __init__(self, scene, method, truth):
+        self.scene, self.method, self.truth = scene, method, truth
+        self.trials = {}   # by index in the grid
+        self.errors = {}   # in w(l) [m], by entry: one index, or two that are extrapolated
+
+    def explore(self, budget):
+        """Run settings, the cheapest first, until the budget [s] is used or all goals reached."""
+        self._trial((0, 0)).run()  # compiles
+        ahead, spent = {(0, 0): 0.0}, 0.0
+        while ahead:
+            index = min(ahead, key=lambda each: ahead[each])
+            found = [self.reached(goal)[:1] for goal in self.scene.goals]
+            dearest = max(self.seconds(*each) if each else np.inf for each in found)
+            # What is cheaper than the dearest may have a neighbour that is not.
+            if spent + ahead[index] > budget or ahead[index] > 3.0 * dearest:
+                return
+            del ahead[index]
+            trial = self.trials[index] = self._trial(index)
+            span = trial.run()
+            spent += trial.solver[0] if trial.solver else span
+            while sum(trial.solver) < 0.02 and 0 < len(trial.solver) < 3:
+                trial.run()
+            self._compare(index)
+            # A neighbour takes at least 4/3 times as long.
+            for further in ((index[0] + 1, index[1]), (index[0], index[1] + 1)):
+                if further not in self.trials and all(
+                        i < n for i, n in zip(further, self._shape())):
+                    ahead[further] = max(ahead.get(further, 0.0),
+                                         4.0 / 3.0 * min(trial.solver, default=span))
+
+    def _shape(self):
+        return len(self.method.sizes), len(self.method.steps)
+
+    def _trial(self, index):
+        return Trial(self.scene, self.method, self.method.sizes[index[0]],
+                     self.method.steps[index[1]])
+
+    def _compare(self, index):
+        # The errors of a new setting, and of its pairs with the others.
+        for other in self.trials:
+            for entry in {(index,), (index, other), (other, index)}:
+                found = self._deflection([self.trials[each] for each in entry])
+                if found is not None:
+                    every = len(self.truth) // len(found)
+                    with np.errstate(all='ignore'):
+                        error = float(np.abs(found - self.truth[every - 1::every]).max())
+                    if error < 1e3:
+                        self.errors[entry] = error
+
+    def _deflection(self, trials):
+        # Of a pair: the error of the coarse run is so many times that of the fine one.
+        coarse, fine = trials[0], trials[-1]
+        if len(trials) == 1:
+            return coarse.deflection
+        if coarse is fine or coarse.deflection is None or fine.deflection is None:
+            return None
+        factors, outside = [], self.method.outside
+        for order, (large, small) in zip(self.method.orders, (
+                (fine.size - outside, coarse.size - outside), (coarse.step, fine.step))):
+            if large != small:
+                factors.append(order and (large / small)**order)
+        every = len(fine.deflection) / len(coarse.deflection)
+        if min(factors) < 1.1 or max(factors) > 1.1 * min(factors) or every % 1.0:
+            return None
+        there = fine.deflection[int(every) - 1::int(every)]
+        return there + (there - coarse.deflection) / (factors[0] - 1.0)
+
+    def reached(self, goal):
+        """Return the entries below a goal [m] whose next finer neighbours are, too, by time."""
+        one = [int(n > 1) for n in self._shape()]
+
+        def finer(entry):
+            return tuple(tuple(i + k for i, k in zip(index, one)) for index in entry)
+        return sorted((entry for entry, error in self.errors.items() if error <= goal
+                       and self.errors.get(finer(entry), np.inf) <= goal),
+                      key=lambda entry: self.seconds(entry))
+
+    def seconds(self, entry):
+        """Return the CPU time of the solver [s]."""
+        return sum(min(self.trials[index].solver) for index in entry)
+
+    def figures(self, entry):
+        """Return what is stored of an entry."""
+        trials = [self.trials[index] for index in entry]
+        return {'settings': ' and '.join(trial.settings for trial in trials),
+                'error_m': self.errors[entry], 'seconds': self.seconds(entry),
+                'whole_s': sum(min(trial.whole) for trial in trials)}
 
 
 def measure(scene, quick):
-    """Run all cases of a scene, taking turns; return the cases and the reference's comment."""
-    comment, truth = of_reference(scene)
-    cases = cases_of(scene, quick)
-    budget, most = (1.0, 3) if quick else (2.0, 5)  # [s] for a case, and most repetitions of it
-    for turn in range(most):
-        for case in cases:
-            if turn and (not case.errors or sum(case.times) * (1 + 1 / turn) > budget):
-                continue
-            result = case.run()
-            if result is None:
-                continue
-            span, columns = result
-            case.times.append(span)
-            if not turn:
-                step = case.order[1] if 'h =' in case.settings else 0.0
-                with np.errstate(all='ignore'):
-                    case.errors = errors_of(columns(), truth,
-                                            max(1, round(step / scene.period)))
-                if not np.isfinite(case.errors['w_l']) or case.errors['w_l'] > 1e3:
-                    case.errors = None
-        print(f'{scene.name}: turn {turn + 1} of {most}', flush=True)
-    return cases, comment
+    """Return the figures of a scene; draw them."""
+    comment, stored = read(scene.name)
+    searches = []
+    for method in methods_of(scene):
+        search = Search(scene, method, stored['w_l_m'][1:])
+        begun = time.process_time()
+        search.explore(QUICK if quick else BUDGET)
+        print(f'{scene.name}, {method.name}: {len(search.trials)} settings in '
+              f'{time.process_time() - begun:.1f} s', flush=True)
+        searches.append(search)
+    # Candidates are timed again, taking turns.
+    again = [search.trials[index] for search in searches for index in sorted({
+        index for goal in scene.goals for entry in search.reached(goal)[:CANDIDATES]
+        for index in entry})]
+    for turn in range(2 if quick else TURNS):
+        for trial in again:
+            if turn < 2 or sum(trial.whole) < REPEATED:
+                trial.repeat()
+    if not quick:
+        plot(scene, searches)
+    found = {}
+    for search in searches:
+        best = [search.reached(goal)[:1] for goal in scene.goals]
+        errors = search.errors
+        found[search.method.name] = {
+            'kind': search.method.kind, 'least_error_m': min(errors.values(), default=None),
+            'best': [search.figures(*each) if each else None for each in best]}
+    return {'reference': comment, 'goals_m': scene.goals, 'methods': found}
 
 
-def by_method(cases):
-    """Return, by method, its cases that gave an error."""
-    found = {case.method: [] for case in cases}
-    for case in cases:
-        if case.errors:
-            found[case.method].append(case)
-    return found
-
-
-def goal_table(cases, goals):
-    """Return the Markdown table of each method's cheapest case for errors of w(l)."""
-    rows = []
-    for method, good in by_method(cases).items():
-        best = [min((case for case in good if case.errors['w_l'] <= goal),
-                    key=lambda case: case.seconds, default=None) for goal in goals]
-        rows.append([method, *(f'{case.seconds:.2g} s ({case.settings})' if case else
-                               'not reached' for case in best)])
-    return table(['cheapest for an error in w(l) of', *(f'{goal:g} m' for goal in goals)], rows)
-
-
-def best_table(cases):
-    """Return the Markdown table of each method's most accurate case, with both errors."""
-    best = {method: min(good, key=lambda case: case.errors['w_l'])
-            for method, good in by_method(cases).items() if good}
-    return table(['most accurate of', 'settings', 'time', 'largest error in w(l)',
-                  'root mean square'],
-                 [(method, case.settings, f'{case.seconds:.2g} s', f'{case.errors["w_l"]:.1e} m',
-                   f'{case.errors["w_l_rms"]:.1e} m') for method, case in best.items()])
-
-
-def plot(scene, cases):
+def plot(scene, searches):
     """Draw error in the tip deflection against time."""
     figure, axis = plt.subplots(figsize=(10.5, 5.5), layout='constrained')
-    found = by_method(cases)
-    for method, (marker, colour) in STYLES.items():
-        good = sorted(found.get(method, ()), key=lambda case: case.seconds)
-        points = np.array([(case.seconds, case.errors['w_l']) for case in good]).reshape(-1, 2).T
-        axis.loglog(*points, marker, color=colour, ms=3, alpha=0.3)
-        # The cases that no other one beats in both time and error.
-        best = points[:, points[1] < np.concatenate([
-            [np.inf], np.minimum.accumulate(points[1])[:-1]])[:len(good)]]
-        if good:
-            axis.loglog(*best, marker + '-', color=colour, ms=5,
-                        lw=2.2 if method == 'exact' else 1.2, label=method)
-    axis.set(ylim=(1e-7, 1.0), xlabel='time of the solver [s]',
+    for search, marker, colour in zip(searches, itertools.cycle(MARKERS),
+                                      itertools.cycle(COLOURS)):
+        errors = search.errors
+        entries = sorted(errors, key=search.seconds)
+        points = np.array([(search.seconds(each), errors[each]) for each in entries])
+        single = [len(each) == 1 for each in entries]
+        axis.loglog(*points[single].T, marker, color=colour, ms=3, alpha=0.3)
+        # Those that no other one beats in both time and error.
+        best = points[np.diff(np.minimum.accumulate(points[:, 1]), prepend=np.inf) < 0.0]
+        axis.loglog(*best.T, marker + '-', color=colour, ms=5,
+                    lw=2.2 if search.method.name == 'exact' else 1.2, label=search.method.name)
+    axis.set(ylim=(1e-7, 1.0), xlabel='CPU time of the solver [s]',
              ylabel='largest error of the tip deflection [m]')
-    axis.set_title(f'{scene.title}: faint, all settings; lines, the best ones', fontsize=10)
+    axis.set_title(f'{scene.title}: faint, all settings; lines, the best ones and pairs',
+                   fontsize=10)
     axis.grid(alpha=0.3)
     figure.legend(fontsize=8, loc='outside right upper')
     figure.savefig(FOLDER / f'{scene.name}.png', dpi=110)
     plt.close(figure)
 
 
-def scene_part(scene, quick):
-    """Return the part of the page about a scene; draw it, and write its figures."""
-    cases, comment = measure(scene, quick)
-    if not quick:
-        plot(scene, cases)
-        path = FOLDER / 'work_precision.json'
-        found = json.loads(path.read_text()) if path.exists() else {'scenes': {}}
-        found['machine'] = {**machine(), **{name: version(name) for name in RIVALS}}
-        found['scenes'][scene.name] = {
-            'reference': comment, 'goals': scene.goals,
-            'cases': [{'method': case.method, 'settings': case.settings, 'errors': case.errors,
-                       'seconds': case.times} for case in cases]}
-        path.write_text(json.dumps(found, indent=1, default=str), encoding='utf-8')
-    return '\n\n'.join([
-        f'![Run time against error](benchmark/{scene.name}.png)', goal_table(cases, scene.goals),
-        best_table(cases), f'Reference, an arm {scene.arm}: {comment}'])
-
-
 def large_deflection(quick):
     """Return errors of an arm that rests bent by 60 degrees, by number of modes."""
     angle, rows = elastica.rows(3.2, (1, 3, 5) if quick else (1, 2, 3, 4, 5, 6, 8))
-    return f'The tip turns by {angle:.1f} degrees.\n\n' + table(
-        ['formulation', 'N', 'tip rotation, deg off', 'tip deflection, m off',
-         'tip shortening, m off'], rows)
+    return {'angle_deg': angle, 'rows': rows}
 
 
 def cold_starts(quick):
-    """Return the time from the start of a process to its first result."""
-    rows = []
-    for name, (scene, code) in COLD.items():
-        with TemporaryDirectory() as folder:
-            environment = {**os.environ, 'NUMBA_CACHE_DIR': folder, 'WARP_CACHE_PATH': folder,
-                           'PYTHONPATH': os.pathsep.join([str(ROOT), str(ROOT / 'test')])}
-            _, first, again = (seconds(lambda: subprocess.run(
-                [sys.executable, '-c', text], check=True, cwd=ROOT, env=environment,
-                capture_output=True)) for text in (scene, scene + code, scene + code))
-        rows.append((name, f'{first:.1f} s', f'{again:.1f} s'))
-    return table(['first result of a new process', 'for the first time', 'again'], rows)
+    """Return the least wall times of new processes, without and with compiled code on disk."""
+    result = {}
+    with TemporaryDirectory() as folder:
+        # As pip installs it, with intermediate code and byte code.
+        shutil.copytree(ROOT / 'timo_sim', Path(folder, 'timo_sim'))
+        subprocess.run([sys.executable, '-m', 'timo_sim.simulation.prebuilt',
+                        Path(folder, 'timo_sim', 'compiled', 'prebuilt')], check=True, cwd=ROOT)
+        subprocess.run([sys.executable, '-m', 'compileall', '-q', folder], check=True)
+        for name, code in COLD.items():
+            found = []
+            while len(found) < (1 if quick else COLD_STARTS) and not (
+                    found and found[-1][0] > LONG):
+                with TemporaryDirectory() as cache:
+                    environment = {
+                        **os.environ, 'NUMBA_CACHE_DIR': cache, 'WARP_CACHE_PATH': cache,
+                        'PYTHONPATH': os.pathsep.join([folder, str(ROOT), str(ROOT / 'test')])}
+                    found.append([seconds(partial(
+                        subprocess.run, [sys.executable, '-c', code], check=True, cwd=folder,
+                        env=environment, capture_output=True)) for _ in range(2)])
+            result[name] = [min(column) for column in zip(*found)]
+            print(name, *result[name], flush=True)
+    return {'seconds': result}
 
 
-PARTS = {**{scene.name: partial(scene_part, scene) for scene in SCENES},
-         'large deflection': large_deflection, 'cold starts': cold_starts}
+PARTS = {**{scene.name: partial(measure, scene) for scene in SCENES},
+         'large_deflection': large_deflection, 'cold_starts': cold_starts}
+
+
+def main():
+    """Measure, write the figures and fill the pages."""
+    command = parser(__spec__, __doc__, 'a small selection, printed only')
+    command.add_argument('--parts', nargs='+', choices=PARTS, help='measure these alone')
+    given = command.parse_args()
+    warnings.simplefilter('ignore', timo_sim.ModelWarning)
+    path = FOLDER / 'work_precision.json'
+    for name in given.parts or (('paper', 'large_deflection') if given.quick else PARTS):
+        figures = PARTS[name](given.quick)
+        if given.quick:
+            print(json.dumps({name: figures}, indent=1), flush=True)
+            continue
+        stored = json.loads(path.read_text(encoding='utf-8')) if path.exists() else {}
+        facts = {**machine(), **{rival: version(rival) for rival in RIVALS}}
+        stored[name] = [*stored.get(name, []), {'machine': facts, **figures}][-2:]
+        path.write_text(json.dumps(stored, indent=1) + '\n', encoding='utf-8')
+    if not given.quick:
+        subprocess.run([sys.executable, ROOT / 'doc' / 'tables.py'], check=True)
+
 
 if __name__ == '__main__':
-    warnings.simplefilter('ignore', timo_sim.ModelWarning)
-    make_page(__spec__, __doc__, 'benchmark.md', PARTS, 'less than two minutes',
-              **{name: partial(version, name) for name in RIVALS})
+    main()

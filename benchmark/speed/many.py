@@ -10,22 +10,29 @@
 
 import math
 import os
+import subprocess
+import sys
+from tempfile import TemporaryDirectory
+import time
 
 from distributed import LocalCluster
 import numpy as np
 
+from benchmark import ROOT
 from benchmark.accuracy import rivals
+from benchmark.accuracy.links import chain_of, longest_step, rigid_links
 from benchmark.speed.step import paper, PAPER, Prepared, STEPS
 from benchmark.timing import seconds, timed
 from oracles import finite_elements
 from oracles.references import world
 import timo_sim
 from timo_sim.gym import ReachVectorEnv, SCENE
+from timo_sim.simulation.simulator import Simulator
 
 # A batch, N = 3, 5 and 10: time of a step and run [s], and least speed beside the scalar step.
 LANES, TARGETS, RATIO = 64, ((3, 0.35e-6), (5, 0.7e-6), (10, 3e-6)), 3.5
-# Learning: a step of an environment is 20 ms of one arm on a held carrier.
-PERIOD, DURATION, LINKS = 0.02, 2.0, 5  # [s], [s], of MuJoCo's chain
+# Learning: a period of control is 20 ms of one arm on a held carrier.
+PERIOD, DURATION, LINKS = 0.02, 2.0, 2  # [s], [s], hinges of the chain
 TORQUE = {'load.torque.piecewise.time': [0.0, 0.5, 1.0],
           'load.torque.piecewise.value': [8.0, -8.0, 0.0]}
 # Sweeps of the paper's 10 s at 10 ms, N = 3: time of 10 000 runs [s].
@@ -53,17 +60,17 @@ def batches(quick):
         scalar = Prepared(paper(modes=modes)).run
         for alike in (True, False):
             ours, theirs = timed(batch_of(modes, LANES, alike), scalar, units=STEPS, rounds=15)
-            time = ours.least / LANES
+            span = ours.least / LANES
             ratio = LANES * theirs.products / ours.products
             found.append((
                 f'a step and run of a batch, N = {modes}' + ', masses differ' * (not alike),
                 f'{1e6 * target:g} us, {RATIO:g} times the speed of the scalar step',
-                f'{1e6 * time:.2g} us (median {1e6 * ours.middle / LANES:.2g}), {ratio:.1f} times',
-                time <= target and ratio >= RATIO, f'{LANES} runs'))
+                f'{1e6 * span:.2g} us (median {1e6 * ours.middle / LANES:.2g}), {ratio:.1f} times',
+                span <= target and ratio >= RATIO, f'{LANES} runs'))
     counts = (8, 64) if quick else (1, 8, 64, 512)
     times = [timed(batch_of(3, count), units=STEPS * count, rounds=15).least for count in counts]
     found.append(('the same, N = 3, by number of runs', '', ', '.join(
-        f'{count}: {1e6 * time:.2g} us' for count, time in zip(counts, times)), None,
+        f'{count}: {1e6 * span:.2g} us' for count, span in zip(counts, times)), None,
         'a group of lanes has 8; a last group that is not full takes as long'))
     return found
 
@@ -84,40 +91,119 @@ def tip(scene, **overrides):
     return run.position(scene.manipulator.arm.length)[1:]
 
 
-def others(scene):
-    """Yield name, seconds for the run, and tip each 20 ms of other engines."""
-    step = PERIOD / math.ceil(PERIOD / rivals.longest_step(scene, LINKS))
-    span, *place = rivals.chain(scene, LINKS, step, DURATION, round(PERIOD / step))
-    yield f'MuJoCo, {LINKS} hinged links, h = {1e3 * step:.2g} ms', span, world(*place)
-    found = finite_elements.simulate(scene, 20, 0.005, DURATION, round(PERIOD / 0.005))
+def _rate(count, step):
+    # Periods of control a second of CPU time, with an action for each arm and period.
+    actions, spans = np.random.default_rng(1).uniform(-1.0, 1.0, (100, count)), []
+    for _ in range(9):
+        begun = time.process_time()
+        for each in actions:
+            step(each)
+        spans.append(time.process_time() - begun)
+    return actions.size / min(spans)
+
+
+def own_rate(scene, count):
+    """Return the arms' periods of control a second, by a `Batch` or, of one arm, a `Simulator`."""
+    arms = timo_sim.Batch(scene, count) if count > 1 else Simulator(scene)
+    return _rate(count, lambda torque: arms.step(
+        duration=PERIOD, torque=torque if count > 1 else torque[0]))
+
+
+def narrow_rate(count):
+    """Return that of a `Batch` in a new process whose code is for 256 bits, x86-64-v3."""
+    code = ('import llvmlite.binding as llvm; llvm.get_host_cpu_name = lambda: "x86-64-v3"; '
+            'llvm.get_host_cpu_features = llvm.FeatureMap; from benchmark.speed import many; '
+            f'print(many.own_rate(many.arm(), {count}))')
+    with TemporaryDirectory() as folder:
+        return float(subprocess.run(
+            [sys.executable, '-c', code], check=True, cwd=ROOT, capture_output=True, text=True,
+            env={**os.environ, 'NUMBA_CACHE_DIR': folder}).stdout.split()[-1])
+
+
+def mujoco_rate(scene, count):
+    """Return that of MuJoCo: of one arm by `mj_step`, of many by its `Batch` on one thread."""
+    import mujoco
+    from mujoco.batch import Batch
+
+    steps, step = _steps_of(scene)
+    model = rivals.chain_model(chain_of(scene, LINKS), step)
+    if count > 1:
+        batch = Batch(model, count, 1)
+        control = batch.bind('ctrl')
+
+        def advance(torque):
+            control[:, 0] = torque
+            batch.step(nstep=steps)
+    else:
+        data = mujoco.MjData(model)
+
+        def advance(torque):
+            data.ctrl[0] = torque[0]
+            mujoco.mj_step(model, data, steps)
+    return _rate(count, advance)
+
+
+def _steps_of(scene):
+    steps = math.ceil(PERIOD / longest_step(scene, LINKS))
+    return steps, PERIOD / steps
+
+
+def arm():
+    """Return the scene of the environments, with a torque that steps; a step is a period."""
+    return timo_sim.load_scene({**SCENE, **TORQUE}, {'integrator.step': PERIOD})
+
+
+def whole_runs(scene):
+    """Yield name, seconds of a run in one compiled call, and the tip each 20 ms."""
+    simulator, count = Simulator(scene), round(DURATION / scene.step)
+    simulator.warm_up()
+    spans = []
+    for _ in range(9):
+        simulator.reset()
+        begun = time.process_time()
+        simulator.advance(count)
+        spans.append(time.process_time() - begun)
+    yield 'timo_sim', min(spans), tip(scene)
+    steps, step = _steps_of(scene)
+    for name, simulate in (f'MuJoCo, {LINKS} hinged links', rivals.chain), (
+            f'{LINKS} hinged links in numba', rigid_links):
+        found = [simulate(scene, LINKS, step, DURATION, steps) for _ in range(9)]
+        yield name, min(each[0] for each in found), world(*found[0][1:])
+    found = finite_elements.simulate(scene, 2, 0.005, DURATION, 4, kind='quadratic')
     place = world(found['theta_rad'], 0.0, scene.manipulator.arm.length + found['u_l_m'],
                   found['w_l_m'])
-    yield 'exudyn, 20 elements, h = 5 ms', found['solver_seconds'], place[1:]
+    yield 'exudyn, 2 quadratic elements, h = 5 ms', found['solver_seconds'], place[1:]
 
 
 def learning(quick):
     """
-    Return rows of the steps per second of environments, beside the same arm in other engines.
+    Return rows of the periods of control a second, each of 20 ms, in this and other engines.
 
-    The others only integrate, each in the way and at the setting that is about the cheapest for a
-    tip within a millimetre.
+    Each is at about the cheapest setting for a tip within a millimetre. Like is beside like: one
+    arm that Python calls in each period, whole runs in one call, and batches on one thread; the
+    time is that of the processor.
     """
-    scene = timo_sim.load_scene({**SCENE, **TORQUE})
+    scene = arm()
     truth = tip(scene, **{'model.modes': 8, 'integrator.step': 0.0005})
-
-    def error(place):
-        return f'{1e3 * np.linalg.norm(place - truth, axis=1).max():.2g} mm'
-
-    rates = {count: environment_rate(count) for count in ((64,) if quick else (1, 64, 512))}
-    found = [(f'steps of environments a second, {count} at once', '', f'{rate:,.0f}', None,
-              f'N = 3, h = 5 ms; the tip is within {error(tip(scene))}')
-             for count, rate in rates.items()]
-    for name, span, place in others(scene):
-        rate = DURATION / PERIOD / span
-        found.append((f'the same arm by {name}', '', f'{rate:,.0f}', None,
-                      f'{max(rates.values()) / rate:.0f} times fewer; the tip is within '
-                      f'{error(place)}'))
-    return found
+    runs = {name: (DURATION / PERIOD / span,
+                   f'{1e3 * np.linalg.norm(place - truth, axis=1).max():.2g} mm')
+            for name, span, place in whole_runs(scene)}
+    own, rival = list(runs)[:2]
+    many = 64 if quick else 512
+    called = 'one arm, a call in each period'
+    rows = [(called, own, own_rate(scene, 1), own),
+            (called, f'{rival}, `mj_step`', mujoco_rate(scene, 1), rival),
+            *(('one arm, a whole run in a call', name, rate, name)
+              for name, (rate, _) in runs.items()),
+            (f'{many} arms', f'{own}, `Batch`', own_rate(scene, many), own),
+            (f'{many} arms', f'{own}, `Batch` in vectors of 256 bits', narrow_rate(many), own),
+            (f'{many} arms', f'{rival}, `mujoco.batch`', mujoco_rate(scene, many), rival)]
+    found = [(f'{what}: {name}', '', f'{rate:,.0f}', None, f'the tip is within {runs[key][1]}')
+             for what, name, rate, key in rows]
+    return found + [(f'steps of environments, {count} at once', '',
+                     f'{environment_rate(count):,.0f}', None,
+                     'actions, observations, rewards and resets, N = 3, h = 5 ms')
+                    for count in ((64,) if quick else (1, 64, 512))]
 
 
 def variations(count, bodies=True):

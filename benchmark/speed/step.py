@@ -12,7 +12,6 @@ import ctypes
 import itertools
 import os
 from pathlib import Path
-import resource
 import shutil
 import subprocess
 import sys
@@ -41,8 +40,7 @@ PAPER = ROOT / 'config' / 'paper.yaml'
 STEPS = 1000  # of 10 ms
 TARGETS = [('exact', 3, 1.5e-6), ('exact', 5, 2.5e-6), ('exact', 10, 8e-6), ('newton', 3, 0.6e-6)]
 BLOCK = 40  # variations or runs that are timed together
-# The very first run where nothing is compiled, of the paper's scene and of a finer one beside it;
-# then one of another size alone. Prints the time of each, and how much of it numba and LLVM take.
+# A first run, then one of another size: prints its time, and how much of it LLVM takes.
 FIRST = """
 import time
 import timo_sim
@@ -50,24 +48,17 @@ from timo_sim.compiled import machine, store
 
 store.PREBUILT /= 'none'  # what the installation has compiled
 
-def timing(name):
-    function = getattr(machine, name)
-    def timed(*arguments):
-        begun = time.perf_counter()
-        result = function(*arguments)
-        spans[name] += time.perf_counter() - begun
-        return result
-    setattr(machine, name, timed)
-
-COMPILERS = 'intermediate_code', 'object_code'
-for name in COMPILERS:
-    timing(name)
-for modes, estimate in ((3, True), (4, False)):
-    spans = dict.fromkeys(COMPILERS, 0.0)
+def timed(*arguments):
     begun = time.perf_counter()
-    timo_sim.simulate(timo_sim.load_scene('paper', {'model.modes': modes}), 0.01,
-                      estimate=estimate)
-    print(time.perf_counter() - begun, *spans.values())
+    result = compiled(*arguments)
+    spans.append(time.perf_counter() - begun)
+    return result
+
+compiled, machine.object_code = machine.object_code, timed
+for modes in 3, 4:
+    spans, begun = [], time.perf_counter()
+    timo_sim.simulate(timo_sim.load_scene('paper', {'model.modes': modes}), 0.01, estimate=False)
+print(time.perf_counter() - begun, sum(spans))
 """
 
 
@@ -215,12 +206,6 @@ def differentiated():
             found.shown(), ratio <= 4.0, f'as long as {ratio:.1f} steps')
 
 
-def processor_time():
-    """Return the processor time of the processes that this one has started and that ended [s]."""
-    used = resource.getrusage(resource.RUSAGE_CHILDREN)
-    return used.ru_utime + used.ru_stime
-
-
 def around(quick):
     """Return rows of what surrounds the steps: set-up, result and the first compilation."""
     scene, random, rounds = paper(), np.random.default_rng(1), 5 if quick else 25
@@ -238,16 +223,10 @@ def around(quick):
                                   for _ in range(BLOCK)], units=BLOCK, rounds=rounds)
     own, least = whole.middle - steps.middle, whole.least - steps.least
     with tempfile.TemporaryDirectory() as folder:
-        empty, other = ({**os.environ, 'NUMBA_CACHE_DIR': f'{folder}/{name}'} for name in 'ab')
-        begun = processor_time()
-        subprocess.run([sys.executable, '-m', 'timo_sim', 'simulate', PAPER], check=True,
-                       capture_output=True, env=empty)
-        installed = processor_time() - begun
         output = subprocess.run(
             [sys.executable, '-c', FIRST], check=True, text=True, stdout=subprocess.PIPE,
-            stderr=subprocess.DEVNULL, env=other).stdout
-    (very_first, numba, llvm), (further, _, again) = [
-        map(float, line.split()) for line in output.splitlines()]
+            stderr=subprocess.DEVNULL, env={**os.environ, 'NUMBA_CACHE_DIR': folder}).stdout
+    further, llvm = map(float, output.split())
     return [
         ('set-up of a run that differs in loads and initial motion', '0.1 ms',
          loads.shown(1e-3, 'ms'), loads.middle <= 0.1e-3, '`Scene.vary`'),
@@ -256,14 +235,8 @@ def around(quick):
         ('`simulate` of a checked scene, beside its steps', '0.3 ms',
          f'{1e3 * own:.2f} ms (min {1e3 * least:.2f})', own <= 0.3e-3,
          '10 s at 10 ms, every step sampled: simulator, loads, samples and the Run'),
-        ('first result of an installation, `timo_sim simulate paper`', '2 s',
-         f'{installed:.2f} s', installed <= 2.0,
-         'processor time of the process; nothing is in the store of machine code'),
         ('first run of a size', '5 s', f'{further:.1f} s', further <= 5.0,
-         f'N = 4, with no machine code of it: LLVM takes {again:.1f} s'),
-        ('very first run, compared with a finer one', '', f'{very_first:.1f} s', None,
-         f'with an empty store: numba takes {numba:.1f} s, once for all sizes, and LLVM '
-         f'{llvm:.1f} s for two sizes')]
+         f'N = 4, with no machine code of it: LLVM takes {llvm:.1f} s')]
 
 
 def exponent(x, y):

@@ -11,35 +11,38 @@ The finite-element engine exudyn: time integration of a system under the loads o
 
 It uses the trapezoidal rule, or generalized-alpha with a driven shaft; second order in the step.
 
-These settings were chosen by CPU time for the paper's scene (20 elements, 1 ms; +- 20 %):
+These settings were chosen by CPU time for the paper's scene (4 elements of three nodes, 1 ms):
 
-- a modified Newton, its Jacobian renewed when an iteration gains less than a factor of 4: 0.44 s;
-  renewed in every step 1.3 s, in every iteration 2.5 s;
-- increments below 1e-10 (`residualMode` 1): 1e-8 saves 20 % and costs 1e-5 rad at 1 ms and
-  3e-4 rad at 0.2 ms; the default tolerance on the residual lies below round-off;
-- loads as compiled symbolic functions, whose values Python sets once in a step: 0.04 s; Python
-  functions, called in every iteration, 0.12 s;
-- sparse factors, one thread, the build without range checks: 5 % less than with them.
+- a modified Newton, its Jacobian renewed when an iteration gains less than a factor of 4: 0.10 s;
+  of 2 as by default 0.10 s;
+- dense factors, for up to 45 coordinates: 0.08 s; sparse ones 0.10 s;
+- increments below 1e-10 (`residualMode` 1); 1e-8 takes 0.06 s, and costs 1e-4 rad; the default
+  tolerance on the residual lies below round-off;
+- loads as compiled symbolic functions of time: Python does nothing in a step;
+- one thread, no files, the build without range checks.
 """
 
+from bisect import bisect_right
+import math
 import sys
 import time
 
 import numpy as np
 
-from timo_sim.model.layout import FORCE_X, FORCE_Y, TORQUE
+from timo_sim.scene.loads import Harmonic, Piecewise
 
 sys.exudynFast = True  # read by the import that follows
 import exudyn  # noqa: E402, I100
-import exudyn.FEM  # noqa: E402
+from exudyn.advancedUtilities import CreateSymbolicUserFunction  # noqa: E402
 import exudyn.itemInterface as items  # noqa: E402
-import exudyn.utilities  # noqa: E402
+import exudyn.utilities  # noqa: E402, F401
 
-CHANNELS = (FORCE_X, FORCE_Y, TORQUE)
+CHANNELS = ('force_x', 'force_y', 'torque')
 TOLERANCE = 1e-10
+_SMALL = 45  # coordinates that are solved for with dense factors
 
 
-def solve(system, scene, watched, root, coordinates, step, duration, every, tolerance=TOLERANCE,
+def solve(system, scene, watched, root, shaft, step, duration, every, tolerance=TOLERANCE,
           damped=False):
     """
     Assemble a system and integrate it under the loads of a scene.
@@ -49,13 +52,13 @@ def solve(system, scene, watched, root, coordinates, step, duration, every, tole
     system : MainSystem
         Of exudyn, with all its nodes and objects.
     scene : Scene
-        Its loads are used.
+        Its loads are used, which are harmonic and piecewise.
     watched : list of int
         Numbers of the nodes to return.
     root : int
-        Number of the node that the loads act on.
-    coordinates : sequence of int
-        Its coordinates x, y and angle.
+        Number of the node that the forces act on, along its first two coordinates.
+    shaft : int
+        Number of the marker that the torque acts on.
     step, duration, every, tolerance
         As for `finite_elements.simulate`.
     damped : bool
@@ -69,27 +72,30 @@ def solve(system, scene, watched, root, coordinates, step, duration, every, tole
         CPU time of the solver alone [s].
 
     """
-    count = round(duration / step)
-    loads = scene.load.stages(0, count, step)
-    used = [(channel, coordinate) for channel, coordinate in zip(CHANNELS, coordinates)
-            if loads[:, :, channel].any()]
-    numbers = [exudyn.symbolic.Real(f'load {channel}', 0.0) for channel, _ in used]
-    for number, (_, coordinate) in zip(numbers, used):
-        _add_load(system, root, coordinate, number)
-    loads = loads[:, :, [channel for channel, _ in used]]
+    numbers = {name: exudyn.symbolic.Real(name, 0.0) for name in CHANNELS
+               if scene.load.terms.get(name)}
+    for name, number in numbers.items():
+        _add_load(system, name, number, scene.load.terms[name],
+                  shaft if name == 'torque' else marker(system, root, CHANNELS.index(name)))
     sensors = [system.AddSensor(items.SensorNode(
         nodeNumber=node, storeInternal=True, writeToFile=False,
         outputVariableType=exudyn.OutputVariableType.Coordinates)) for node in watched]
     system.Assemble()
-    settings = _settings(every * step, tolerance, damped)
+    settings = _settings(every * step, tolerance, damped,
+                         system.systemData.ODE2Size() <= _SMALL)
     # The rule takes the accelerations at both ends of a step under the load of that step. After a
     # jump it therefore begins anew, from the accelerations after the jump.
-    jumps = 1 + np.flatnonzero((loads[1:, 0] != loads[:-1, -1]).any(axis=1))
-    if (jumps % every).any():
+    count = round(duration / step)
+    jumps = sorted({round(jump / step) for name in numbers for term in scene.load.terms[name]
+                    for jump in term.jumps() if 0.0 < jump < duration})
+    if any(jump % every for jump in jumps):
         raise ValueError(f'loads may jump at samples only, every {every} steps, got {jumps}')
-    bounds, pieces, seconds = [0, *jumps.tolist(), count], [], 0.0
+    bounds, pieces, seconds = [0, *jumps, count], [], 0.0
     for first, last in zip(bounds, bounds[1:]):
-        _set_loads(system, numbers, [loads[first, 0], *loads[first:last, -1]])
+        for name, number in numbers.items():
+            number.SetValue(float(sum(
+                (0.0, *term.value)[bisect_right(term.time, (first + 0.5) * step)]
+                for term in scene.load.terms[name] if isinstance(term, Piecewise))))
         settings.timeIntegration.startTime = first * step
         settings.timeIntegration.endTime = last * step
         settings.timeIntegration.numberOfSteps = last - first
@@ -109,37 +115,35 @@ def marker(system, node, coordinate):
     return system.AddMarker(items.MarkerNodeCoordinate(nodeNumber=node, coordinate=coordinate))
 
 
-def _add_load(system, node, coordinate, value):
-    # A load that equals `value`, a symbolic number that Python sets.
-    def constant(system, t, load):
-        return 1.0 * value
+def _add_load(system, name, constant, terms, marker):
+    # The sum of a symbolic number, which is set before each piece, and of harmonic terms.
+    if not all(isinstance(term, (Harmonic, Piecewise)) for term in terms):
+        raise ValueError(f'load.{name} must be harmonic or piecewise')
+    waves = [(term.amplitude, 2.0 * math.pi * term.frequency, term.phase) for term in terms
+             if isinstance(term, Harmonic)]
 
-    load = system.AddLoad(items.LoadCoordinate(
-        markerNumber=marker(system, node, coordinate), load=0.0))
-    system.SetLoadParameter(load, 'loadUserFunction', exudyn.utilities.CreateSymbolicUserFunction(
-        system, constant, 'loadUserFunction', load))
+    def value(system, t, load):
+        total = 1.0 * constant
+        for amplitude, omega, phase in waves:
+            total = total + amplitude * exudyn.symbolic.sin(omega * t + phase)
+        return exudyn.symbolic.Vector([0, 0, total]) if name == 'torque' else total
 
-
-def _set_loads(system, numbers, rows):
-    # The first row now, and one of the others before each step.
-    rows = iter(np.array(rows).tolist())
-
-    def set_next(system, t):
-        for number, value in zip(numbers, next(rows)):
-            number.SetValue(value)
-        return True
-
-    set_next(system, 0.0)
-    if numbers:
-        system.SetPreStepUserFunction(set_next)
+    if name == 'torque':
+        load, function = items.Torque(markerNumber=marker), 'loadVectorUserFunction'
+    else:
+        load, function = items.LoadCoordinate(markerNumber=marker, load=0.0), 'loadUserFunction'
+    load = system.AddLoad(load)
+    system.SetLoadParameter(load, function, CreateSymbolicUserFunction(
+        system, value, function, load))
 
 
-def _settings(period, tolerance, damped):
+def _settings(period, tolerance, damped, small):
     settings = exudyn.SimulationSettings()
     settings.solution.file.write = False
     settings.solution.sensors.writePeriod = period
     settings.parallel.numberOfThreads = 1
-    settings.linearSolverType = exudyn.LinearSolverType.EigenSparse
+    settings.linearSolverType = (exudyn.LinearSolverType.EXUdense if small
+                                 else exudyn.LinearSolverType.EigenSparse)
     integration = settings.timeIntegration
     integration.verboseMode = 0
     # With a shaft driven at 6 rad/s the trapezoidal rule diverges in unresolved axial modes.

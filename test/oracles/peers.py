@@ -40,13 +40,14 @@ class System(NamedTuple):
     rate: Any     # ctypes function
     observe: Any  # ctypes function
     tables: int   # address of the constants of both
-    linear: np.ndarray
+    linear: np.ndarray  # transposed: products run over its rows
 
 
 def system_of(model):
     """Return the System of a formulation; its tables live as long as the formulation."""
     return System(rate_once.of(model.packed)._code, observe_once.of(model.packed)._code,
-                  model.packed.memory.ctypes.data, model.linear)
+                  model.packed.memory.ctypes.data,
+                  np.ascontiguousarray(model.linear.T))
 
 
 # Arrays whose addresses are taken are arguments, which live until the function returns.
@@ -59,7 +60,21 @@ def _nonlinear(system, state, load, out):
 @numba.njit
 def _full(system, state, load, out):
     _nonlinear(system, state, load, out)
-    out += system.linear @ state
+    _add_product(system.linear, state, out)
+
+
+@numba.njit
+def _add_product(transposed, vector, out):
+    # Of a small matrix, in less time than a call of BLAS.
+    for j in range(len(vector)):
+        for i in range(len(out)):
+            out[i] += transposed[j, i] * vector[j]
+
+
+@numba.njit
+def _move(state, step, rate, out):
+    for i in range(len(out)):
+        out[i] = state[i] + step * rate[i]
 
 
 @numba.njit
@@ -76,13 +91,17 @@ def _record(system, state, load, k, every, samples):
 @numba.njit
 def rk4(system, state, loads, step, every, samples):
     """Integrate by the classical Runge-Kutta method; return the steps done."""
-    k1, k2, k3, k4 = np.zeros((4, len(state)))
+    stage, k1, k2, k3, k4 = np.zeros((5, len(state)))
     for k in range(len(loads)):
         _full(system, state, loads[k, 0], k1)
-        _full(system, state + 0.5 * step * k1, loads[k, 1], k2)
-        _full(system, state + 0.5 * step * k2, loads[k, 1], k3)
-        _full(system, state + step * k3, loads[k, 2], k4)
-        state += step / 6.0 * (k1 + 2.0 * k2 + 2.0 * k3 + k4)
+        _move(state, 0.5 * step, k1, stage)
+        _full(system, stage, loads[k, 1], k2)
+        _move(state, 0.5 * step, k2, stage)
+        _full(system, stage, loads[k, 1], k3)
+        _move(state, step, k3, stage)
+        _full(system, stage, loads[k, 2], k4)
+        for i in range(len(state)):
+            state[i] += step / 6.0 * (k1[i] + 2.0 * k2[i] + 2.0 * k3[i] + k4[i])
         if not _record(system, state, loads[k, 2], k, every, samples):
             return k
     return len(loads)
@@ -92,11 +111,14 @@ def rk4(system, state, loads, step, every, samples):
 def implicit_midpoint(system, state, loads, step, every, samples):
     """Integrate by the implicit midpoint rule, linear part implicit; return the steps done."""
     inverse = np.linalg.inv(np.eye(len(state)) - 0.5 * step * system.linear)
-    middle, nonlinear = state.copy(), np.zeros(len(state))
+    middle = state.copy()
+    nonlinear, right, following = np.zeros((3, len(state)))
     for k in range(len(loads)):
         for _ in range(ITERATIONS):
             _nonlinear(system, middle, loads[k, 1], nonlinear)
-            following = inverse @ (state + 0.5 * step * nonlinear)
+            _move(state, 0.5 * step, nonlinear, right)
+            following[:] = 0.0
+            _add_product(inverse, right, following)
             change = np.abs(following - middle).max()
             middle[:] = following
             if not change > TOLERANCE * np.abs(middle).max():
@@ -119,7 +141,7 @@ def generalized_alpha(system, state, loads, step, every, samples):
     gamma = 0.5 + alpha_m - alpha_f
     linear = system.linear
     inverse = np.linalg.inv(alpha_m * np.eye(len(state)) - alpha_f * gamma * step * linear)
-    old, nonlinear = np.zeros(len(state)), np.zeros(len(state))
+    old, new, nonlinear, following = np.zeros((4, len(state)))
     for k in range(len(loads)):
         if k == 0 or np.any(loads[k, 0] != loads[k - 1, 2]):
             _full(system, state, loads[k, 0], old)
@@ -128,17 +150,19 @@ def generalized_alpha(system, state, loads, step, every, samples):
         load = ((1.0 - s) * (1.0 - 2.0 * s) * loads[k, 0] + 4.0 * s * (1.0 - s) * loads[k, 1]
                 + s * (2.0 * s - 1.0) * loads[k, 2])
         base = state + alpha_f * step * (1.0 - gamma) * old
-        known = (alpha_m - 1.0) * old + linear @ base
-        new = old.copy()
+        known = (alpha_m - 1.0) * old
+        _add_product(linear, base, known)
+        new[:] = old
         for _ in range(ITERATIONS):
             _nonlinear(system, base + alpha_f * gamma * step * new, load, nonlinear)
-            following = inverse @ (known + nonlinear)
+            following[:] = 0.0
+            _add_product(inverse, known + nonlinear, following)
             change = np.abs(following - new).max()
-            new = following
+            new[:] = following
             if not change > TOLERANCE * np.abs(new).max():
                 break
         state += step * ((1.0 - gamma) * old + gamma * new)
-        old = new
+        old[:] = new
         if not _record(system, state, loads[k, 2], k, every, samples):
             return k
     return len(loads)
@@ -197,8 +221,9 @@ def adaptive(method, model, start, load, jumps, times, tolerance):
         inside = times[(times > begin + 1e-9) & (times <= end + 1e-9)]
         # A stage at the end of a piece uses the load of that piece.
         solution = solve_ivp(
-            lambda t, y: model.rate(y, load(min(t, end - 1e-9))), (begin, end), state, method,
-            np.append(inside[inside < end - 1e-9], end), rtol=tolerance, atol=1e-3 * tolerance)
+            lambda t, y: model.rate(np.ascontiguousarray(y), load(min(t, end - 1e-9))),
+            (begin, end), state, method, np.append(inside[inside < end - 1e-9], end),
+            rtol=tolerance, atol=1e-3 * tolerance)
         if not solution.success:
             raise ArithmeticError(solution.message)
         motions += [motion_of(np.ascontiguousarray(y), load(t))
