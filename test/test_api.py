@@ -82,6 +82,19 @@ def test_commands_that_are_refused_change_nothing(scene):
         assert np.array_equal(simulator.step(torque=1.0).values, other.step(torque=1.0).values)
 
 
+def test_the_motion_and_load_of_a_step_stay_as_they_are(scene):
+    simulator = timo_sim.Simulator(scene)
+    kept = simulator.step(torque=20.0, duration=0.1), simulator.load
+    assert np.array_equal(kept[0].values, simulator.motion.values)
+    before = kept[0].values.tolist(), kept[1].tolist()
+    for count in (1, 3):
+        later = simulator.step(torque=-20.0, duration=count * scene.step)
+        assert np.array_equal(later.values, simulator.motion.values)
+    assert (kept[0].values.tolist(), kept[1].tolist()) == before
+    assert later.values.tolist() != before[0] and simulator.load.tolist() != before[1]
+    assert np.array_equal(simulator.step(duration=0.0).values, later.values)
+
+
 def test_sensors_are_those_of_their_step(scene):
     simulator = timo_sim.Simulator(scene.vary({'motor.coulomb_friction': 1.0}))
     simulator.step(torque=20.0, duration=0.1)

@@ -196,7 +196,7 @@ def test_outputs_are_derivatives_of_the_readings(name):
             motion, acting = rest.copy(), load.copy()
             motion[free] += sign * x
             acting[columns] += sign * u
-            simulator._state[:], simulator.load[:] = simulator.model.state(motion), acting
+            simulator._state[:], simulator._load[:] = simulator.model.state(motion), acting
             sensors = simulator.sensors
             ends.append([sensors.root_strain, sensors.tip_acceleration[1]])
         found = np.subtract(*reversed(ends)) / (2.0 * small)

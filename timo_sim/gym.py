@@ -21,7 +21,7 @@ from typing import Any
 import numpy as np
 
 from timo_sim.extras import optional
-from timo_sim.model.layout import rotate
+from timo_sim.model.layout import FORCE_X, FORCE_Y, LOADS, rotate, TORQUE
 from timo_sim.scene.parameters import Parameter, ParameterError, short, whole_ratio
 from timo_sim.scene.scene import load_scene, SceneLike
 from timo_sim.simulation.batch import Batch
@@ -119,7 +119,7 @@ class ReachVectorEnv(VectorEnv):
         self._mode = AutoresetMode(autoreset_mode)
         self.metadata = {'autoreset_mode': self._mode, 'render_modes': []}
         self.batch, self.period = Batch(scenes), period
-        whole_ratio('period', _PERIOD.check(period), 'integrator.step', scene.step)
+        self._steps = whole_ratio('period', _PERIOD.check(period), 'integrator.step', scene.step)
         self._periods = whole_ratio('duration', self._duration, 'period', period)
         models = [each.build() for each in scenes]
         self._length = np.array([each.manipulator.arm.length for each in scenes])
@@ -188,8 +188,11 @@ class ReachVectorEnv(VectorEnv):
         if begins.any() and self._mode is not AutoresetMode.NEXT_STEP:
             raise ParameterError(f'the episodes of environments {np.flatnonzero(begins).tolist()} '
                                  'are over: reset them')
-        self.batch.step(torque=self._torque * actions[:, 0], duration=self.period,
-                        force=self._force * actions[:, 1:] if self._force else (0.0, 0.0))
+        commanded = np.zeros((self.num_envs, LOADS))
+        commanded[:, TORQUE] = self._torque * actions[:, 0]
+        if self._force:
+            commanded[:, FORCE_X:FORCE_Y + 1] = self._force * actions[:, 1:]
+        self.batch.advance(self._steps, commanded)
         self._elapsed += 1
         if begins.any():  # their actions have had no effect
             self._restart(begins)
@@ -214,13 +217,13 @@ class ReachVectorEnv(VectorEnv):
         """Return the rewards of a period, (num_envs,); a class of another task overrides it."""
         left, speed, _, bend_rate = observations[:, :4].astype(float).T
         return -self.period * (np.abs(left) + _SPEED * np.abs(speed + bend_rate)
-                               + _EFFORT * np.mean(actions**2, axis=1))
+                               + _EFFORT * (actions**2).mean(axis=1))
 
     def _observations(self):
         motion, tip = self.batch.motion, self.batch.tip
         bend = np.arctan2(tip[:, 1], tip[:, 0])
         found = [self.goal - motion.shaft - bend, motion.shaft_velocity, bend,
-                 np.sum(self._bend_rate * motion.qdot, axis=1)]
+                 (self._bend_rate * motion.qdot).sum(axis=1)]
         if self._moves:
             found.extend(rotate(-motion.shaft, *motion.carrier_velocity.T))
         return np.array(found, dtype=np.float32).T.copy()

@@ -10,6 +10,8 @@
 
 from collections.abc import Callable
 import ctypes
+from functools import partial
+from operator import is_
 from typing import Any
 
 import numpy as np
@@ -43,26 +45,22 @@ class EntryPoint(Function):
         module = function.__module__.removeprefix('timo_sim.')
         self.name = f'{module}.{name or function.__name__}'
         self._arrays = [given for given in arguments.values() if not isinstance(given, Constants)]
-        kinds: dict[Any, Any] = {int: ctypes.c_int64, float: ctypes.c_double}
-        self._prototype = ctypes.CFUNCTYPE(ctypes.c_int64, *(
-            kinds.get(given, ctypes.c_void_p) for given in arguments.values()))
         self._known: dict[Any, Any] = {}
 
     def of(self, *constants: Packed) -> 'Call':
         """Return the function for some constants, with machine code for their sizes."""
         key = tuple([each.key for each in constants])
         if key not in self._known:
-            self._known[key] = (self._prototype(machine.load(self, constants)),
-                                self._wanted(constants))
+            self._known[key] = _Code(machine.load(self, constants)), self._wanted(constants)
         code, wanted = self._known[key]
         return Call(code, wanted, constants)
 
     def _wanted(self, constants):
-        """Return shape and type of each array, None for a number."""
+        """Return for each argument the function that returns what passes it."""
         sizes = {name: size for each in constants for name, size in each.sizes.items()}
-        return [None if given in (int, float) else
-                (tuple(sizes.get(dim, dim) for dim in given.dims) + given.lanes * (WIDTH,),
-                 np.dtype(np.int64 if given.whole else float)) for given in self._arrays]
+        return [_NUMBERS.get(given) or partial(
+            _place, tuple(sizes.get(dim, dim) for dim in given.dims) + given.lanes * (WIDTH,),
+            np.dtype(np.int64 if given.whole else float)) for given in self._arrays]
 
     def __call__(self, *args: Any) -> Any:
         """Call the machine code; `of` is faster where constants stay the same."""
@@ -76,6 +74,9 @@ def entry_point(fast: bool = True, **arguments: Any) -> Callable[[Callable], Ent
 
 
 _Place = ctypes.c_char * 0
+_Code = ctypes.CFUNCTYPE(ctypes.c_int64)  # arguments are ctypes objects, so that none is converted
+_NUMBERS: dict[Any, Any] = {int: ctypes.c_int64, float: ctypes.c_double}
+_SHORT = 2**16  # longest array that a Call keeps in memory [B]
 
 
 class Call:
@@ -84,6 +85,8 @@ class Call:
     def __init__(self, code: Any, wanted: list[Any], constants: tuple[Packed, ...]) -> None:
         self._code, self._wanted, self._constants = code, wanted, constants
         self._places = [each.place for each in constants]
+        # Arguments of a call, and what they were passed as: the same need no check again.
+        self._last: tuple[list[Any], list[Any]] = [_Code] * len(wanted), [None] * len(wanted)
 
     def __call__(self, *args: Any) -> int:
         """
@@ -95,21 +98,33 @@ class Call:
             If an array is of another shape or type than the machine code reads.
 
         """
-        places: list[Any] = []
-        for wanted, value in zip(self._wanted, args, strict=True):
-            if wanted is None:
-                places.append(value)
-                continue
-            # Machine code checks nothing: an array that is too short would be read beyond its end.
-            (shape, dtype), given = wanted, value.shape
-            if given != shape and (shape[0] is not None or given[1:] != shape[1:]) or (
-                    value.dtype != dtype):
-                raise ValueError(f'compiled code needs {dtype} of shape {shape}, '
-                                 f'got {value.dtype} of shape {given}')
-            try:
-                places.append(_Place.from_buffer(value))
-            except (TypeError, ValueError, BufferError):  # read-only, or not in C order
-                if not value.flags.c_contiguous:
-                    raise ValueError('compiled code needs arrays in C order') from None
-                places.append(value.ctypes.data)
+        values, places = self._last
+        if len(args) != len(values) or not all(map(is_, args, values)):
+            places = self._check(args)
         return self._code(*self._places, *places)
+
+    def _check(self, args):
+        """Return what passes the arguments."""
+        (values, places), short = map(list, self._last), True
+        for k, (value, last, place) in enumerate(zip(args, values, self._wanted, strict=True)):
+            if value is not last:
+                values[k], places[k] = value, place(value)
+                short = short and getattr(value, 'nbytes', 0) <= _SHORT
+        if short:
+            self._last = values, places
+        return places
+
+
+def _place(shape, dtype, value):
+    """Return what passes an array; machine code itself checks nothing."""
+    given = value.shape
+    if given != shape and (shape[0] is not None or given[1:] != shape[1:]) or (
+            value.dtype != dtype):
+        raise ValueError(f'compiled code needs {dtype} of shape {shape}, '
+                         f'got {value.dtype} of shape {given}')
+    try:
+        return _Place.from_buffer(value)
+    except (TypeError, ValueError, BufferError):  # read-only, or not in C order
+        if not value.flags.c_contiguous:
+            raise ValueError('compiled code needs arrays in C order') from None
+        return ctypes.c_void_p(value.ctypes.data)

@@ -289,12 +289,13 @@ class Batch:
         if not (type(count) is type(sample_every) is int and min(count, sample_every) >= 0):
             count, sample_every = COUNT.check(count), SAMPLE_EVERY.check(sample_every)
         with self._lock:
-            return self._advance(count, commanded, sample_every)[0]
+            return from_lanes(self._advance(count, commanded, sample_every)[0], self.n)
 
     def advance_tips(self, count: int) -> np.ndarray:
         """Advance by `count` > 0 steps; return the tip after each, (n, count, 3), as `tip`."""
         with self._lock:
-            return self._advance(count, None, 0, with_tips=True)[1]
+            tips = self._advance(count, None, 0, with_tips=True)[1]
+            return from_lanes(np.concatenate(tips, axis=1), self.n)
 
     def _advance(self, count, commanded, sample_every, with_tips=False):
         lanes, loads = self._lanes, self._loads
@@ -313,7 +314,7 @@ class Batch:
             if with_tips:
                 tips += [at_starts[:, 1:], lanes.tip[:, np.newaxis].copy()]
         self.steps += count
-        return from_lanes(samples, self.n), from_lanes(np.concatenate(tips, axis=1), self.n)
+        return samples, tips
 
 
 def _check(scenes):

@@ -11,7 +11,6 @@
 from __future__ import annotations
 
 from collections.abc import Iterable, Mapping, Sequence
-from copy import copy
 from dataclasses import replace
 from functools import cached_property
 import math
@@ -74,6 +73,10 @@ def commanded_load(values: Mapping[str, Any], many: tuple[int, ...] = (),
     load = np.zeros((*many, LOADS))
     for name, given in commands.items():
         columns = ARGUMENTS[name]
+        if isinstance(given, (int, float)) and isinstance(columns, int) and (
+                math.isfinite(given) and not INPUTS[columns].needs):  # the most frequent case
+            load[..., columns] = given
+            continue
         shape = np.shape(columns)
         try:
             numbers = np.asarray(given, dtype=float)
@@ -85,7 +88,7 @@ def commanded_load(values: Mapping[str, Any], many: tuple[int, ...] = (),
             kind += f', or an array of them of shape {(*many, *shape)}' if many else ''
             raise ParameterError(f'{name} must be {kind}, got {short(given)}')
         load[..., columns] = numbers
-        for column in np.ravel(columns):
+        for column in columns if shape else [columns]:
             each, numbers = INPUTS[column], load[..., column]
             if each.needs:
                 lacking = numbers[(numbers != 0.0) & (np.asarray(values[each.needs]) == 0.0)]
@@ -162,6 +165,7 @@ class Actuators:
 
 
 _AHEAD = 256  # least number of steps that are tabulated at once
+_FEW = 8  # most steps whose loads are copied: compiled functions take the same array faster again
 
 
 class LoadTable:
@@ -177,7 +181,7 @@ class LoadTable:
 
     def __init__(self, scene: Scene, actuators: Actuators) -> None:
         self._load, self._step, self.actuators = scene.load, scene.step, actuators
-        self._begin, self._block, self._room = 0, NO_LOADS, NO_LOADS
+        self._begin, self._block, self._room, self._sums = 0, NO_LOADS, NO_LOADS, NO_LOADS
 
     def at_start(self) -> np.ndarray:
         """Return the scene's own load at its beginning, shape (LOADS,)."""
@@ -209,10 +213,14 @@ class LoadTable:
             begin, block = first, self._load.stages(first, ahead, self._step, self._room)
             self._begin, self._block = begin, block
         loads = block[first - begin:first - begin + count]
+        if commanded is None and count > _FEW:
+            return loads
+        if len(self._sums) != count:
+            self._sums = np.empty((count, STEP_LOADS, LOADS))
+        self._sums[:] = loads
         if commanded is not None:
-            loads = loads.copy()
-            self.actuators.add(commanded, first, loads)
-        return loads
+            self.actuators.add(commanded, first, self._sums)
+        return self._sums
 
 
 class TipLoad:
@@ -238,10 +246,6 @@ class TipLoad:
     def __init__(self, scene: Scene) -> None:
         self._first = self.tip = _own(scene)
         self._payloads, self._next, self.lost = scene.payloads, 0, 0.0
-
-    def copy(self) -> TipLoad:
-        """Return a copy as it is now, or itself if no step changes it."""
-        return copy(self) if self._payloads else self
 
     def reset(self, scene: Scene) -> bool:
         """Return to the end effector of a scene, and whether that is another one than now."""

@@ -11,6 +11,7 @@
 from __future__ import annotations
 
 from collections.abc import Callable, Sequence
+from copy import copy
 from itertools import groupby
 import math
 import threading
@@ -32,7 +33,7 @@ from timo_sim.simulation.snapshot import Sensors, Snapshot
 from timo_sim.simulation.warnings import DivergenceError
 from timo_sim.steps.derivatives import step_derivatives
 from timo_sim.steps.friction import steps_of
-from timo_sim.steps.steps import CHUNK
+from timo_sim.steps.steps import CHUNK, Samples
 
 # Deflection beyond which the run counts as diverged, in arm lengths.
 MOST_BENT = 10.0
@@ -75,8 +76,6 @@ class Simulator:
         The time steps of the model.
     steps : int
         Steps done since the start; sim time is `steps * scene.step`.
-    load : ndarray, shape (LOADS,)
-        Load at the end of the last step, see `model.layout`.
     tip_load : TipLoad
         Mass and inertia at the tip now, and the energy lost in plastic impacts.
     warning : str or None
@@ -97,6 +96,7 @@ class Simulator:
         self._lock = threading.RLock()  # threads take turns; a diverged advance calls another
         self.tip_load = TipLoad(scene)
         self._take(scene, scene.build())
+        self._ends = self.integration.samples(1, 1)[1:]  # room for the samples of `step`
         self._estimate = estimate and can_refine(scene)
         self._finer: Simulator | None = None
         self.reset()
@@ -104,6 +104,10 @@ class Simulator:
     def _take(self, scene, model):
         self.scene, self.model = scene, model
         self.integration = steps_of(self.model, scene.step, scene.friction)
+        travel = model.tip_travel[3:]
+        self._travel = np.zeros(len(model.linear))  # of the tip by each number of the state
+        self._travel[len(self._travel) // 2 - len(travel):len(self._travel) // 2] = travel
+        self._most_bent = MOST_BENT * model.manipulator.arm.length
 
     def __repr__(self):
         return f'<Simulator at t = {self.t:.6g} s (step {self.steps}) of {self.scene!r}>'
@@ -119,9 +123,14 @@ class Simulator:
         return round(self.steps * self.scene.step * 1e9)
 
     @property
+    def load(self) -> np.ndarray:
+        """Load at the end of the last step, shape (LOADS,), see `model.layout`."""
+        return self._load.copy()
+
+    @property
     def motion(self) -> Motion:
         """The motion now, see `Motion`."""
-        return Motion(self.integration.motion(self._state, self.load))
+        return Motion(self.integration.motion(self._state, self._load))
 
     @property
     def sensors(self) -> Sensors:
@@ -141,7 +150,7 @@ class Simulator:
     def snapshot(self, load: list[float] | None = None,
                  state: np.ndarray | None = None) -> Snapshot:
         """Return a Snapshot of now: valid until the next step, or longer with a kept state."""
-        load = self.load.tolist() if load is None else load
+        load = self._load.tolist() if load is None else load
         acts = self._state if state is None else state, self.integration.acting(self.load)
         return Snapshot(self.scene, self.model, self.steps, self.nanoseconds, self.motion.values,
                         load, acts)
@@ -163,7 +172,7 @@ class Simulator:
                                  or self.model.gravity.any())
             self._origin = self.steps
             self._table = LoadTable(self.scene, Actuators(self.scene.values))
-            self.load = self._table.at_start()
+            self._load = self._table.at_start()
             self.warning = warnings.unseen_load(self.scene)
             self._error, self._behind = 0.0 if self._estimate else math.nan, []
             if self._finer:
@@ -211,7 +220,7 @@ class Simulator:
             for each in filter(None, (self._finer, self)):
                 motion = each.motion.values
                 if each.model.speed_limit < math.inf:  # for warnings
-                    each.model.rate(each._state, each.load)
+                    each.model.rate(each._state, each._load)
                 if messages or self._finer:
                     each.model.tip(motion)
             if messages:
@@ -219,7 +228,7 @@ class Simulator:
                 self.model.energy(motion[np.newaxis])
                 effort, snapshot = self.model.effort, self.snapshot()
                 effort(motion[np.newaxis], snapshot.accelerations[0][np.newaxis],
-                       self.load[np.newaxis])
+                       self._load[np.newaxis])
 
     def step(self, *, duration: float | None = None, **commands: Any) -> Motion:
         """
@@ -250,8 +259,12 @@ class Simulator:
 
         """
         commanded = commanded_load(self.scene.values, **commands)
-        self.advance(1 if duration is None else steps_in(duration, self.scene.step), commanded)
-        return self.motion
+        count = 1 if duration is None else steps_in(duration, self.scene.step)
+        if not count:
+            return self.motion
+        with self._lock:
+            self._advance(count, commanded, Samples(count, *self._ends))
+            return Motion(self._ends[0][-1].copy())
 
     def step_derivatives(self, inputs: Sequence[str] = ('force', 'torque'), *,
                          duration: float | None = None, **commands: Any) -> StepDerivatives:
@@ -360,54 +373,54 @@ class Simulator:
             If `count` or `sample_every` is negative or no whole number.
 
         """
-        if not (type(count) is type(sample_every) is int and min(count, sample_every) >= 0):
+        if not (type(count) is type(sample_every) is int and count >= 0 <= sample_every):
             count, sample_every = COUNT.check(count), SAMPLE_EVERY.check(sample_every)
         with self._lock:
-            return self._advance(count, commanded, sample_every)
+            samples = self.integration.samples(count, sample_every)
+            self._advance(count, commanded, samples)
+            return samples.motions, samples.heat
 
-    def _advance(self, count, commanded, sample_every):
-        if self._rests(count, commanded):
-            return self._rest(count, sample_every)
-        before = (self._state.copy(), self.load, self.integration.memory.copy(),
-                  self.tip_load.copy(), self.model, self.integration)
-        first = self.steps - self._origin
-        samples, done = self.integration.samples(count, sample_every), 0
+    def _advance(self, count, commanded, samples):
+        self._resting = self._resting and (commanded is None or not commanded.any())
+        if self._resting and count:  # not even the last bit of the state would change
+            return self._rest(count, samples)
+        before = (self._state.copy(), self._load.copy(), self.integration.memory.copy(),
+                  self.tip_load, self.model, self.integration)
+        first, done = self.steps - self._origin, 0
         while done < count:
-            sample = self._change_tip(first + done)
-            part = min(count - done, CHUNK, self.tip_load.next_step - first - done)
-            loads = self._table.stages(first + done, part, commanded)
-            reached = self.integration.advance(self._state, self.load, loads, samples, done)
-            if sample is not None and sample_every and done % sample_every == 0:
-                samples.motions[done // sample_every] = sample  # that before the load changes
-            self.load = loads[-1, AFTER].copy()
+            number = first + done
+            sample = self._change_tip(number) if self.tip_load.next_step <= number else None
+            part = min(count - done, CHUNK, self.tip_load.next_step - number)
+            loads = self._table.stages(number, part, commanded)
+            reached = self.integration.advance(self._state, self._load, loads, samples, done)
+            if sample is not None and samples.every and done % samples.every == 0:
+                samples.motions[done // samples.every] = sample  # that before the load changes
+            self._load[:] = loads[-1, AFTER]
             done += reached
-            half, travel = len(self._state) // 2, self.model.tip_travel[3:]
-            bend = np.abs(self._state[half - len(travel):half]) @ travel
-            if reached < part or not bend <= MOST_BENT * self.model.manipulator.arm.length:
+            bend = abs(self._state).dot(self._travel)
+            if reached < part or not bend <= self._most_bent:
                 self._give_up(before, count, commanded)
         self.steps += count
-        self._note(count, commanded, sample_every, samples.motions)
-        return samples.motions, samples.heat
+        self._note(count, commanded, samples)
 
-    def _note(self, count, commanded, sample_every, motions):
+    def _note(self, count, commanded, samples):
         # Check for warnings, and keep what `measure_error` needs.
         if not math.isinf(self.model.speed_limit):
-            seen = np.vstack([motions, self.motion.values])
-            share = self.model.axial_share(self._state, self.integration.acting(self.load))
+            seen = np.vstack([samples.motions, self.motion.values])
+            share = self.model.axial_share(self._state, self.integration.acting(self._load))
             self.warning = self.warning or warnings.after_steps(
                 self.scene, self.model, share, self.t, seen)
         if self._finer and count:
             self._behind.append(_Call(
-                count, None if commanded is None else commanded.copy(), sample_every or count,
-                motions[1:] if sample_every else self.motion.values[np.newaxis]))
+                count, None if commanded is None else commanded.copy(), samples.every or count,
+                samples.motions[1:].copy() if samples.every else self.motion.values[np.newaxis]))
             if len(self._behind) >= _MOST_BEHIND:
                 self.measure_error()
 
     def _change_tip(self, number):
-        # The loads that the scene changes at a step; return the motion before, if there are any.
-        before = None
+        # Make the changes of the load at the tip that are due; return the motion before.
+        before, self.tip_load = self.motion.values, copy(self.tip_load)  # the old one is kept
         while self.tip_load.next_step <= number:
-            before = self.motion.values if before is None else before
             self._continue_with(self.scene, self.tip_load.take_next())
         return before
 
@@ -451,22 +464,15 @@ class Simulator:
             np.vstack(others)))
         self.warning = self.warning or warnings.inaccurate(self.scene, self._error)
 
-    def _rests(self, count, commanded):
-        # Whether these steps would not change the state, not even in the last bit.
-        self._resting = self._resting and (commanded is None or not commanded.any())
-        return self._resting and count > 0
-
-    def _rest(self, count, sample_every):
-        samples = self.integration.samples(count, sample_every)
-        if sample_every:
+    def _rest(self, count, samples):
+        if samples.every:
             samples.motions[:] = self.motion.values
         self.steps += count
         if self._finer:  # which rests, too
             self._finer.advance(self._parts * count)
-        return samples.motions, samples.heat
 
     def _give_up(self, before, count, commanded):  # return to the last good state and raise
-        self._state, self.load, memory, tip_load, self.model, self.integration = before
+        self._state, self._load, memory, tip_load, self.model, self.integration = before
         self.integration.memory, self.tip_load = memory, tip_load
         if count > 1:
             for part in (count // 2, count - count // 2):

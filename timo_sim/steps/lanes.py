@@ -117,13 +117,13 @@ def to_lanes(values: np.ndarray, numbers: np.ndarray | None = None) -> np.ndarra
     rows = numbers[np.minimum(np.arange(count * WIDTH), len(numbers) - 1)]
     if len(rows) != len(values) or np.any(rows != np.arange(len(rows))):
         values = values[rows]
-    return np.ascontiguousarray(np.moveaxis(
-        values.reshape(count, WIDTH, *values.shape[1:]), 1, -1))
+    values = values.reshape(count, WIDTH, *values.shape[1:])
+    return np.ascontiguousarray(values.transpose(0, *range(2, values.ndim), 1))
 
 
 def from_lanes(values: np.ndarray, count: int) -> np.ndarray:
     """Return lanes as rows of an array of its own, shape (count, ...)."""
-    rows = np.moveaxis(values, -1, 1)
+    rows = values.transpose(0, -1, *range(1, values.ndim - 1))
     if len(rows) == 1:  # else `reshape` copies
         rows = rows.copy()
     return rows.reshape(len(values) * WIDTH, *rows.shape[2:])[:count]

@@ -94,7 +94,8 @@ class Steps:
         done = 0
         while True:
             part = self.part(self.model.sector(state, load))
-            count = self._run(part, state, load, loads[done:], samples, since + done)
+            count = self._run(part, state, load, loads[done:] if done else loads, samples,
+                              since + done)
             done += count
             if not self.model.sectors or not count or done == len(loads):
                 return done
