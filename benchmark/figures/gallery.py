@@ -6,7 +6,7 @@
 # WARRANTIES OR CONDITIONS OF ANY KIND, either express or implied. See the License for the specific
 # language governing permissions and limitations under the License.
 
-"""Draws seven pictures with captions: `make gallery` writes doc/gallery.md and doc/gallery/."""
+"""Draws five pictures with captions: `make gallery` writes doc/gallery.md and doc/gallery/."""
 
 from pathlib import Path
 from tempfile import TemporaryDirectory
@@ -53,30 +53,6 @@ def save(figure, name):
     """Write a picture."""
     figure.savefig(ROOT / 'doc' / 'gallery' / f'{name}.png', dpi=100)
     plt.close(figure)
-
-
-def paper():
-    """Draw the paper's run; return the caption."""
-    run = timo_sim.simulate(timo_sim.load_scene(ROOT / 'config/paper.yaml', FINE), 10.0)
-    across = run.deflection(LENGTH)[:, 1]
-    peak = int(np.abs(across).argmax())
-    figure, plane, time = sheet("The paper's run: three harmonic loads")
-    plane.plot(*run.position(LENGTH).T, color=GREY, lw=1, label='path of the tip')
-    for second in (0, 2, 4, 6, 8, 10):
-        draw_arm(plane, run, 1000 * second, BLUE, 0.25 + 0.075 * second,
-                 'every 2 s, light to dark' if second == 10 else None)
-    plane.legend(loc='lower right')
-    plane.set(xlim=(-0.25, 2.2), ylim=(-0.25, 2.3))
-    time.plot(run.t, 1e3 * across, color=BLUE)
-    time.plot(run.t[peak], 1e3 * across[peak], 'o', color=RED, ms=10,
-              label=f'largest: {1e3 * across[peak]:.1f} mm at {run.t[peak]:.2f} s')
-    time.set(ylabel='tip deflection w(l) [mm]', ylim=(-100, 135), xlim=(0, 10))
-    time.legend(loc='upper right')
-    save(figure, 'paper')
-    return (f'5 N at 2 Hz and 3 Hz on the carrier, 5 N m at 4 Hz on the shaft, nothing is held. '
-            f'The torque is close to the first frequency of the free manipulator, so the '
-            f'vibration beats; the tip is bent by at most {1e3 * abs(across[peak]):.1f} mm. The '
-            f'carrier ends {np.linalg.norm(run.carrier[-1]):.2f} m from where it began.')
 
 
 def spin_up():
@@ -181,59 +157,6 @@ def disturbance():
             f'{max(np.abs(gained - gained[0]).max(), 1e-12):.1g} N s after 2 s.')
 
 
-def slew(scene, reference, inertia):
-    """Step a simulator under PD and feed-forward on the shaft; return its run."""
-    simulator = timo_sim.Simulator(scene)
-    proportional, derivative = 60.0, 20.0   # [N m/rad], [N m s/rad]
-    t = np.arange(4001) * scene.step
-    angle, speed, acceleration = (values(t) for values in reference)
-    motions = [simulator.motion]
-    for k in range(len(t) - 1):
-        motion = motions[-1]
-        torque = (inertia * acceleration[k] + proportional * (angle[k] - motion.shaft)
-                  + derivative * (speed[k] - motion.shaft_velocity))
-        motions.append(simulator.step(torque=torque))
-    return timo_sim.Run(scene, simulator.model, t,
-                        np.array([motion.values for motion in motions]), np.zeros_like(t))
-
-
-def vibration_control():
-    """Draw turns by 45 degrees, a step and a smooth one with feed-forward; return the caption."""
-    scene = timo_sim.load_scene({**FINE, 'initial.shaft': 0.0, 'carrier.held': 'both'})
-    body, arm = scene.manipulator, scene.manipulator.arm
-    inertia = (body.shaft_inertia + arm.section.mass_per_length * LENGTH**3 / 3.0
-               + body.end_effector_mass * LENGTH**2 + body.end_effector_inertia)
-    goal, duration = 0.25 * np.pi, 1.5
-
-    def smooth(order):
-        curve = np.polynomial.Polynomial([0, 0, 0, 10, -15, 6]).deriv(order)
-        return lambda t: goal * curve(np.minimum(t / duration, 1.0)) / duration**order
-
-    step = slew(scene, (lambda t: goal + 0 * t, np.zeros_like, np.zeros_like), 0.0)
-    calm = slew(scene, tuple(smooth(order) for order in range(3)), inertia)
-    figure, plane, time = sheet('A turn by 45 degrees under PD control of the shaft')
-    left = []
-    for run, colour, label in ((step, RED, 'step of the reference'),
-                               (calm, BLUE, f'{duration:g} s, with feed-forward')):
-        across = run.deflection(LENGTH)[:, 1]
-        left.append((np.abs(across).max(), np.abs(across[run.t >= 2.0]).max()))
-        time.plot(run.t, 1e3 * across, color=colour, label=label)
-        for sample in (150, 500, 1000):
-            draw_arm(plane, run, sample, colour, 0.3 + 0.0007 * sample,
-                     label if sample == 1000 else None)
-    plane.set(xlim=(-0.3, 2.3), ylim=(-0.3, 2.7))
-    plane.legend(loc='upper left', title='0.15, 0.5 and 1 s', fontsize=12)
-    time.axvline(2.0, color=GREY, lw=1)
-    time.set(ylabel='tip deflection w(l) [mm]', xlim=(0, 4))
-    time.legend(loc='upper right')
-    save(figure, 'vibration_control')
-    return ('The carrier is held; a PD controller in Python steps the simulator at 1 kHz. A step '
-            f'of the reference bends the arm by {1e3 * left[0][0]:.0f} mm, and '
-            f'{1e3 * left[0][1]:.1f} mm are left after 2 s. A smooth reference of '
-            f'{duration:g} s, with the torque that a rigid arm would need fed forward, bends it '
-            f'by {1e3 * left[1][0]:.0f} mm and leaves {1e3 * left[1][1]:.2f} mm.')
-
-
 def standing():
     """Draw an arm that a torque bears in gravity until it ends; return the caption."""
     scene = timo_sim.load_scene(ROOT / 'config/standing.yaml')
@@ -314,11 +237,9 @@ def main():
     parser(__spec__, __doc__).parse_args()
     text = ['# Gallery', '', 'Written by `make gallery` (benchmark/figures/gallery.py), '
             'numbers included. To look at a run of your own: `timo_sim view run.mcap`.']
-    for draw, title in ((paper, "The paper's run"), (spin_up, 'Spin-up'),
-                        (resonance, 'Resonance'), (disturbance, 'A disturbance at the tip'),
-                        (vibration_control, 'Vibration control'),
-                        (standing, 'Standing in gravity'),
-                        (pick_and_place, 'Pick and place')):
+    for draw, title in ((spin_up, 'Spin-up'), (resonance, 'Resonance'),
+                        (disturbance, 'A disturbance at the tip'),
+                        (standing, 'Standing in gravity'), (pick_and_place, 'Pick and place')):
         words = draw()
         print(f'{title}: {words}')
         text += ['', f'## {title}', '', f'![{title}](gallery/{draw.__name__}.png)', '', words]
