@@ -9,6 +9,7 @@
 """Other integrators for the equations of this package: peers of its own in the benchmarks."""
 
 import bisect
+import ctypes
 import math
 from typing import Any, NamedTuple
 
@@ -45,8 +46,10 @@ class System(NamedTuple):
 
 def system_of(model):
     """Return the System of a formulation; its tables live as long as the formulation."""
-    return System(rate_once.of(model.packed)._code, observe_once.of(model.packed)._code,
-                  model.packed.memory.ctypes.data,
+    kind = ctypes.CFUNCTYPE(ctypes.c_int64, *4 * [ctypes.c_void_p])
+    rate, observed = (ctypes.cast(entry.of(model.packed)._code, kind)
+                      for entry in (rate_once, observe_once))
+    return System(rate, observed, model.packed.memory.ctypes.data,
                   np.ascontiguousarray(model.linear.T))
 
 
