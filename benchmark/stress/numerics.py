@@ -65,9 +65,9 @@ def judged(number, make=cell, seed=1):
 
 def ratio(found):
     """Return estimated over true error, each at most a length, or None if this is not known."""
-    if found['verdict'] in ('refused', 'open') or not (
+    if found['verdict'] in ('refused', 'open') or math.isnan(found['estimate']) or not (
             found['error'] > SEEN and found['doubt'] < found['error'] / 3.0):
-        return None
+        return None  # an estimate is NaN where finer runs diverge, which the run says
     return min(found['estimate'], 1.0) / min(found['error'], 1.0)
 
 
