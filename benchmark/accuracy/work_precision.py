@@ -45,7 +45,7 @@ import timo_sim
 
 RIVALS = ('exudyn', 'mujoco-core', 'pyelastica', 'dismech-newton', 'soromox', 'jax')
 FOLDER = ROOT / 'doc' / 'benchmark'
-BUDGET, QUICK = 8.0, 0.5  # CPU time of the search of a method on a scene [s]
+BUDGET, QUICK = 12.0, 0.5  # CPU time of the search of a method on a scene [s]
 REPEATED, TURNS = 2.0, 25  # CPU time of a setting that is timed again [s], and at most how often
 CANDIDATES = 3             # settings for a goal that are timed again
 COLD_STARTS, LONG = 3, 10.0  # the least counts; one that takes so long [s] is not repeated
@@ -247,7 +247,8 @@ def plot(scene, searches):
         errors = search.errors
         entries = sorted(errors, key=search.seconds)
         points = np.array([(search.seconds(each), errors[each]) for each in entries])
-        single = [len(each) == 1 for each in entries]
+        points = points.reshape(-1, 2)  # all runs may have failed
+        single = np.array([len(each) == 1 for each in entries], dtype=bool)
         axis.loglog(*points[single].T, marker, color=colour, ms=3, alpha=0.3)
         # Those that no other one beats in both time and error.
         best = points[np.diff(np.minimum.accumulate(points[:, 1]), prepend=np.inf) < 0.0]
