@@ -39,6 +39,7 @@ if TYPE_CHECKING:
 
 
 _MAX_DIFFERENCE = 1e-3  # relative, of integrals by all and by every second sample
+_MOST_REPEATED = 5_000_000  # steps of a run that is done again: some 0.5 GB with three modes
 _BLOCK = 1024     # samples whose loads are worked out at once
 _REPORTED = 1024  # steps from one report to the next
 
@@ -136,12 +137,13 @@ class Run(MotionFields):
 
         Dry friction is not part of it, but friction that builds up over a speed is.
         If samples are several steps apart, the run is simulated again to integrate between them.
-        This is not possible for a run with commands or resets: its samples alone are integrated,
-        with a ModelWarning if they are too far apart for a relative error of 1e-3.
+        A run with commands or resets cannot be, one of more than 5 million steps would take too
+        much memory: their samples alone are integrated, with a ModelWarning if they are too far
+        apart for a relative error of 1e-3.
         """
         power, steps = self.model.dissipation(self.motion), np.rint(self.t / self.scene.step)
         every = int(steps[-1]) // max(len(steps) - 1, 1)
-        if every > 1 and power.any():
+        if every > 1 and power.any() and steps[-1] <= _MOST_REPEATED:
             try:
                 dense = run_scene(self.scene, every * (len(steps) - 1))
             except DivergenceError as error:
@@ -153,7 +155,7 @@ class Run(MotionFields):
         if np.diff(steps).max(initial=1.0) > 1.0 and (
                 np.abs(taken[::2] - coarse).max() > _MAX_DIFFERENCE * taken.max()):
             warn('the dissipated energy is not accurate, because samples are too far apart and '
-                 'the run cannot be simulated again: take more samples')
+                 'the run is not simulated again: take more samples')
         return taken
 
     def momentum(self) -> np.ndarray:
