@@ -112,16 +112,16 @@ class Simulator:
 
     def begin(self, steps, feedback=lambda message: None):
         """Start the action; return its handle."""
-        return self._wait(self._action.send_goal_async(
+        return self._wait(lambda: self._action.send_goal_async(
             SimulateSteps.Goal(steps=steps), feedback_callback=feedback))
 
     def end(self, goal):
         """Return status, code and text of an action at its end."""
-        response = self._wait(goal.get_result_async())
+        response = self._wait(goal.get_result_async)
         return response.status, response.result.result.result, response.result.result.error_message
 
     def cancel(self, goal):
-        self._wait(goal.cancel_goal_async())
+        self._wait(goal.cancel_goal_async)
 
     def at(self, step):
         """Wait until the last published state is that after a step."""
@@ -132,12 +132,17 @@ class Simulator:
         stamp = self.states[-1].header.stamp
         return 1000 * stamp.sec + stamp.nanosec // 1000000
 
-    @staticmethod
-    def _wait(future):
-        done = threading.Event()
-        future.add_done_callback(lambda _: done.set())
+    def _wait(self, call):
+        """
+        Call in the thread of the executor, and return what the future has at its end.
+
+        rclpy drops an answer that another thread receives before the call returns.
+        """
+        done, task = threading.Event(), self.client.executor.create_task(call)
+        task.add_done_callback(
+            lambda task: task.result().add_done_callback(lambda _: done.set()))
         assert done.wait(PATIENCE), 'no answer'
-        return future.result()
+        return task.result().result()
 
 
 @pytest.fixture

@@ -102,7 +102,8 @@ class Interfaces:
             cancel_callback=lambda goal: CancelResponse.ACCEPT)
 
     def _answer(self, handle, request, response):
-        code, reason = Result.RESULT_OK, ''
+        code: int = Result.RESULT_OK
+        reason: Any = ''
         try:
             handle(request, response)
         except _RefusalError as error:
@@ -284,10 +285,10 @@ class Interfaces:
         if uri.scheme not in ('', 'file') or path.suffix not in ('', '.yaml', '.yml'):
             raise _RefusalError('uri must be the path of a YAML file or the name of a scene, got '
                                 f'{resource.uri}', response.UNSUPPORTED_FORMAT)
-        source, text = (path, None) if resource.uri else (
-            'resource_string', resource.resource_string)
-        self._stop(check(read_parameter_file(source, text), str(source)))
-        self._world = path.stem or source, resource.uri
+        source = str(path) if resource.uri else 'resource_string'
+        text = None if resource.uri else resource.resource_string
+        self._stop(check(read_parameter_file(source, text), source))
+        self._world = Path(source).stem, resource.uri
         self._get_current_world(request, response)
 
     def _get_current_world(self, request, response):
