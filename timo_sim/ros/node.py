@@ -218,7 +218,7 @@ class SimNode(ParameterNode):
 
     @property
     def steps(self) -> int:
-        """Number of steps done; a reset does not set it back."""
+        """Number of steps done; only `begin_again` sets it back."""
         return self._simulator.steps
 
     @property
