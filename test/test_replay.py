@@ -23,7 +23,9 @@ from rosbags.typesys import get_typestore, Stores
 import timo_sim
 from timo_sim.cli import main
 from timo_sim.log.tables import Recording
-from timo_sim.log.write import Channel, Recorder
+from timo_sim.log.write import CHANGE, change_note, Channel, NewLog, Recorder, RESET
+from timo_sim.scene.parameters import PARAMETERS
+from timo_sim.topics.outputs import outputs
 
 STORE = get_typestore(Stores.ROS2_JAZZY)
 # Log time after the first [ns], torque [N m]; the infinite one is refused.
@@ -232,6 +234,46 @@ def test_a_log_gives_the_same_bits_and_a_falsified_one_does_not(log, tmp_path):
     text = call('replay', wrong, code=1)
     assert ' of 909 logged numbers compared: ' in text and ' differ\n' in text
     assert 'joint_states carrier_x_m' in text
+
+
+def test_a_carrier_that_was_set_is_set_again_also_beside_a_reset(tmp_path):
+    """The simulator is driven as by the node; the log notes when the carrier was set."""
+    scene = timo_sim.load_scene({'initial.shaft_velocity': 2.0, 'carrier.coulomb_friction': 5.0})
+    simulator, log = timo_sim.Simulator(scene), NewLog(
+        tmp_path / 'set.mcap', scene, {name: rule.default for name, rule in PARAMETERS.items()}
+        | dict(scene.values))
+    states = {output.name: output for output in outputs(scene.modal_count)
+              if output.name in ('joint_states', '~/modal_state')}
+
+    def advance(count):
+        for _ in range(count):
+            simulator.advance(1)
+            look = simulator.snapshot()
+            for name, output in states.items():
+                log.output(name, look, output.numbers(look))
+
+    for carrier, reset in (([0.1, 1 / 3, 0.7, -0.2], False), ([1.0, 2.0, 0.0, 0.0], True),
+                           ([0.2, 0.0, 1e-3, 0.1], False)):
+        advance(40)
+        simulator.set_carrier(carrier)
+        log.note(CHANGE, change_note(simulator.steps, {'carrier': carrier}))
+        if reset:
+            simulator.reset()
+            log.note(RESET, {'step': str(simulator.steps)})
+    advance(40)
+    log.close()
+    text = call('replay', log.path, '-o', tmp_path / 'again.mcap')
+    assert 'all are the same to the last bit' in text and '1 resets' in text
+    assert 'all are the same to the last bit' in call('replay', tmp_path / 'again.mcap')
+    assert 'at step 40: carrier = [0.1, 0.3333333333333333, 0.7, -0.2]' in call('info', log.path)
+    with pytest.raises(timo_sim.ParameterError, match='carrier was set at 0.12 s'):
+        timo_sim.read_record(log.path)
+    # The motion jumps by what was set, and another scene may refuse it.
+    step, _, motion = Recording(log.path).motion()
+    assert np.abs(motion[step == 41][0, :2] - [0.1, 1 / 3]).max() < 1e-3
+    text = call('replay', log.path, '--set', 'carrier.held=both', '-o', tmp_path / 'held.mcap',
+                code=2)
+    assert 'carrier.held = both' in text
 
 
 def test_a_log_of_an_old_version_is_refused_with_the_version_that_reads_it(log):

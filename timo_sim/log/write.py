@@ -66,7 +66,7 @@ def start_note(node: str, values: dict, changed: dict, scene: Scene) -> dict[str
 
 
 def change_note(step: int, values: dict) -> dict[str, str]:
-    """Return the metadata for parameters of the scene that were set while the node runs."""
+    """Return the metadata for what was set while the node runs, as in `Recording.changes`."""
     return {'step': str(step), 'values': _json(values)}
 
 

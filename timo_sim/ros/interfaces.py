@@ -6,24 +6,76 @@
 # WARRANTIES OR CONDITIONS OF ANY KIND, either express or implied. See the License for the specific
 # language governing permissions and limitations under the License.
 
-"""Services and action of simulation_interfaces, which pause, reset and step as ~/pause etc. do."""
+"""
+Services and action of simulation_interfaces, versions 1.5 (Jazzy) to 2.1.
 
+What a service cannot do is refused by a result code of the standard and a text.
+"""
+
+from functools import partial
+import math
+from pathlib import Path
+import re
 from typing import Any
+from urllib.parse import unquote, urlsplit
 
+from geometry_msgs.msg import Accel, Point, Pose, Quaternion, Twist, Vector3
+import numpy as np
 from rclpy.action import ActionServer, CancelResponse
+from simulation_interfaces import srv
 from simulation_interfaces.action import SimulateSteps
-from simulation_interfaces.msg import Result, SimulationState, SimulatorFeatures
-from simulation_interfaces.srv import (
-    GetSimulationState, GetSimulatorFeatures, ResetSimulation, SetSimulationState, StepSimulation)
+from simulation_interfaces.msg import (
+    Bounds, EntityCategory, EntityState, Resource, Result, SimulationState, SimulatorFeatures,
+    WorldResource)
 
+from timo_sim.log.write import yaml_text
+from timo_sim.model.layout import place
 from timo_sim.ros.loop import StateError
+from timo_sim.scene.files import installed_scenes, read_parameter_file
+from timo_sim.scene.parameters import check
 from timo_sim.version import __version__
 
-_CLOCK = 'the clock goes on at a reset'
-_FEATURES = [getattr(SimulatorFeatures, name) for name in (
-    'SIMULATION_RESET', 'SIMULATION_RESET_STATE', 'SIMULATION_STATE_GETTING',
-    'SIMULATION_STATE_SETTING', 'SIMULATION_STATE_PAUSE', 'STEP_SIMULATION_SINGLE',
-    'STEP_SIMULATION_MULTIPLE', 'STEP_SIMULATION_ACTION')]
+# The features of each service that is done, by its type.
+_DONE = {
+    'GetSimulatorFeatures': (),
+    'GetSimulationState': ('SIMULATION_STATE_GETTING',),
+    'SetSimulationState': ('SIMULATION_STATE_SETTING', 'SIMULATION_STATE_PAUSE'),
+    'StepSimulation': ('STEP_SIMULATION_SINGLE', 'STEP_SIMULATION_MULTIPLE',
+                       'STEP_SIMULATION_ACTION'),
+    'ResetSimulation': ('SIMULATION_RESET', 'SIMULATION_RESET_TIME', 'SIMULATION_RESET_STATE'),
+    'GetEntities': ('ENTITY_CATEGORIES',),
+    'GetEntityInfo': ('ENTITY_INFO_GETTING',),
+    'GetEntityState': ('ENTITY_STATE_GETTING',),
+    'GetEntitiesStates': (),
+    'SetEntityState': ('ENTITY_STATE_SETTING',),
+    'LoadWorld': ('WORLD_LOADING', 'WORLD_RESOURCE_STRING'),
+    'GetCurrentWorld': ('WORLD_INFO_GETTING',),
+    'GetAvailableWorlds': ('AVAILABLE_WORLDS',),
+}
+# Why the others are refused.
+_FIXED = 'the entities are those of the scene'
+_REFUSED = {
+    'UnloadWorld': 'there is always a world; LoadWorld replaces it',
+    **dict.fromkeys(('SpawnEntity', 'SpawnEntities', 'DeleteEntity', 'GetSpawnables'), _FIXED),
+    'SetEntityInfo': _FIXED,
+    'GetEntityBounds': 'entities have no bounds: nothing collides',
+    **dict.fromkeys(('GetNamedPoses', 'GetNamedPoseBounds'), 'no poses have names'),
+}
+_LIMITS = ('SCOPE_TIME is reset together with SCOPE_STATE only; of entities, the state of the '
+           'carrier alone can be set')
+_ENTITIES = {
+    'carrier': 'the carrier with the motor, which moves along world x and y without turning',
+    'end_effector': 'the end effector at the tip of the arm, with what it carries'}
+_ROUNDING = 1e-6  # of a quaternion that is no rotation
+_FAILED = Result.RESULT_OPERATION_FAILED
+
+
+class _RefusalError(Exception):
+    """A request that is refused for a reason, with the code of its result."""
+
+    def __init__(self, reason, code=Result.RESULT_FEATURE_UNSUPPORTED):
+        super().__init__(reason)
+        self.code = code
 
 
 class _Turn:
@@ -38,99 +90,237 @@ class Interfaces:
 
     def __init__(self, node: Any) -> None:
         self._node = node
-        self._stopped_at: int | None = None  # step at which the simulation was stopped
-        for kind, name, answer in (
-                (GetSimulatorFeatures, 'get_simulator_features', self._features),
-                (GetSimulationState, 'get_simulation_state', self._get_state),
-                (SetSimulationState, 'set_simulation_state', self._set_state),
-                (StepSimulation, 'step_simulation', self._step),
-                (ResetSimulation, 'reset_simulation', self._reset)):
-            node.create_service(kind, f'~/{name}', answer)
+        self._stopped = False  # if no step has been done since
+        self._world = 'as started', ''  # name and URI
+        for name in (*_DONE, *_REFUSED):
+            service = re.sub('(?<=.)([A-Z])', r'_\1', name).lower()
+            answer = (partial(self._answer, getattr(self, f'_{service}')) if name in _DONE else
+                      partial(self._answer, partial(self._refuse, _REFUSED[name])))
+            node.create_service(getattr(srv, name), f'~/{service}', answer)
         self._action = ActionServer(
             node, SimulateSteps, '~/simulate_steps', self._simulate,
             cancel_callback=lambda goal: CancelResponse.ACCEPT)
 
-    def _features(self, request, response):
-        response.features.features = _FEATURES
-        response.features.custom_info = f'timo_sim {__version__}; {_CLOCK}'
+    def _answer(self, handle, request, response):
+        code: int = Result.RESULT_OK
+        reason: Any = ''
+        try:
+            handle(request, response)
+        except _RefusalError as error:
+            code, reason = error.code, error
+        except StateError as error:
+            code = getattr(response, 'STATE_TRANSITION_ERROR', Result.RESULT_INCORRECT_STATE)
+            reason = error
+        except ValueError as error:  # of a URI; a ParameterError
+            code, reason = getattr(response, 'RESOURCE_PARSE_ERROR', _FAILED), error
+        except OSError as error:
+            missing = isinstance(error, FileNotFoundError)
+            code, reason = Result.RESULT_NOT_FOUND if missing else _FAILED, error
+        if hasattr(response, 'result'):
+            response.result = Result(result=code, error_message=str(reason))
         return response
+
+    def _refuse(self, reason, request, response):
+        raise _RefusalError(reason)
+
+    # The simulation.
+
+    def _get_simulator_features(self, request, response):
+        response.features.features = [getattr(SimulatorFeatures, feature)
+                                      for features in _DONE.values() for feature in features]
+        response.features.custom_info = f'timo_sim {__version__}; {_LIMITS}'
 
     def _state(self):
         if not self._node.paused:
             return SimulationState.STATE_PLAYING
-        return (SimulationState.STATE_STOPPED if self._node.steps == self._stopped_at
+        return (SimulationState.STATE_STOPPED if self._stopped and not self._node.steps
                 else SimulationState.STATE_PAUSED)
 
-    def _get_state(self, request, response):
+    def _get_simulation_state(self, request, response):
         response.state.state = self._state()
-        response.result.result = Result.RESULT_OK
-        return response
 
-    def _set_state(self, request, response):
+    def _set_simulation_state(self, request, response):
         target = request.state.state
         if target == self._state():
-            response.result.result = SetSimulationState.Response.ALREADY_IN_TARGET_STATE
-            return response
-        response.result.result = Result.RESULT_OK
+            raise _RefusalError('', response.ALREADY_IN_TARGET_STATE)
+        if target in (SimulationState.STATE_PLAYING, SimulationState.STATE_PAUSED):
+            self._node.pause(target == SimulationState.STATE_PAUSED)
+            self._stopped = False
+        elif target == SimulationState.STATE_STOPPED:
+            self._stop()
+        elif target == SimulationState.STATE_QUITTING:
+            self._node.quit()
+        else:
+            raise _RefusalError(f'state {target} cannot be set: there is always a world')
+
+    def _stop(self, given=None):
+        self._node.begin_again(given, paused=True)
+        self._stopped = True
+
+    def _step_simulation(self, request, response):
         try:
-            if target == SimulationState.STATE_PLAYING:
-                self._node.pause(False)
-            elif target == SimulationState.STATE_PAUSED:
-                self._node.pause(True)
-                self._stopped_at = None
-            elif target == SimulationState.STATE_STOPPED:
-                self._node.pause(True)
-                self._node.reset()
-                self._stopped_at = self._node.steps
-            elif target == SimulationState.STATE_QUITTING:
-                self._node.quit()
-            else:
-                response.result = Result(
-                    result=Result.RESULT_FEATURE_UNSUPPORTED,
-                    error_message=f'state {target} cannot be set: there are no worlds to load')
+            self._node.step(request.steps)
         except StateError as reason:
-            response.result = Result(result=SetSimulationState.Response.STATE_TRANSITION_ERROR,
-                                     error_message=str(reason))
-        return response
+            raise _RefusalError(reason, _FAILED) from None
 
-    def _step(self, request, response):
-        response.result = self._stepped(request.steps)
-        return response
-
-    def _stepped(self, count):
-        try:
-            self._node.step(count)
-        except StateError as reason:
-            return Result(result=Result.RESULT_OPERATION_FAILED, error_message=str(reason))
-        return Result(result=Result.RESULT_OK)
-
-    def _reset(self, request, response):
-        state = ResetSimulation.Request.SCOPE_STATE
-        if request.scope != state:  # SCOPE_DEFAULT is SCOPE_ALL
-            response.result = Result(
-                result=Result.RESULT_FEATURE_UNSUPPORTED,
-                error_message=f'scope must be {state}, SCOPE_STATE, got {request.scope}: {_CLOCK}')
-            return response
-        self._node.reset()
-        response.result.result = Result.RESULT_OK
-        return response
+    def _reset_simulation(self, request, response):
+        scope = request.scope or request.SCOPE_ALL
+        if not scope & request.SCOPE_STATE:
+            raise _RefusalError(f'scope must have SCOPE_STATE, {request.SCOPE_STATE}, got {scope}')
+        # Nothing can be spawned.
+        (self._node.begin_again if scope & request.SCOPE_TIME else self._node.reset)()
 
     async def _simulate(self, goal):
         """Do the steps of an action one by one; other callbacks are served in between."""
-        total, result = goal.request.steps, Result(result=Result.RESULT_OK)
-        for done in range(total):
-            if goal.is_cancel_requested:
-                goal.canceled()
-                return SimulateSteps.Result(result=Result(
-                    result=Result.RESULT_OPERATION_FAILED,
-                    error_message=f'canceled after {done} of {total} steps'))
-            result = self._stepped(1)
-            if result.result != Result.RESULT_OK:
-                goal.abort()
-                return SimulateSteps.Result(result=result)
-            goal.publish_feedback(SimulateSteps.Feedback(
-                completed_steps=done + 1, remaining_steps=total - done - 1))
-            self._node.executor.wake()
-            await _Turn()
+        total = goal.request.steps
+        try:
+            for done in range(total):
+                if goal.is_cancel_requested:
+                    goal.canceled()
+                    return SimulateSteps.Result(result=Result(
+                        result=_FAILED, error_message=f'canceled after {done} of {total} steps'))
+                self._node.step(1)
+                goal.publish_feedback(SimulateSteps.Feedback(
+                    completed_steps=done + 1, remaining_steps=total - done - 1))
+                self._node.executor.wake()
+                await _Turn()
+        except StateError as reason:
+            goal.abort()
+            return SimulateSteps.Result(result=Result(result=_FAILED, error_message=str(reason)))
         goal.succeed()
-        return SimulateSteps.Result(result=result)
+        return SimulateSteps.Result(result=Result(result=Result.RESULT_OK))
+
+    # Entities.
+
+    def _get_entities(self, request, response):
+        filters = request.filters
+        if filters.tags.tags:
+            raise _RefusalError('entities have no tags')
+        if filters.bounds.type != Bounds.TYPE_EMPTY:
+            raise _RefusalError('entities have no bounds')
+        if '[:' in filters.filter:
+            raise _RefusalError('classes of characters, [: :], are not known')
+        try:
+            pattern = re.compile(filters.filter)
+        except (re.error, OverflowError, RecursionError) as error:
+            raise _RefusalError(f'filter must be a regular expression: {error}',
+                                _FAILED) from None
+        wanted = {each.category for each in filters.categories} or {EntityCategory.CATEGORY_ROBOT}
+        response.entities = [name for name in _ENTITIES if pattern.search(name)
+                             and EntityCategory.CATEGORY_ROBOT in wanted]
+
+    def _get_entities_states(self, request, response):
+        self._get_entities(request, response)
+        response.states = self._node.look(
+            lambda snapshot: [self._state_of(name, snapshot) for name in response.entities])
+
+    def _get_entity_info(self, request, response):
+        response.info.category.category = EntityCategory.CATEGORY_ROBOT
+        response.info.description = _ENTITIES[_known(request.entity)]
+
+    def _get_entity_state(self, request, response):
+        response.state = self._node.look(partial(self._state_of, _known(request.entity)))
+
+    def _state_of(self, name, snapshot):
+        """Return the state of an entity in world axes, an EntityState."""
+        model, motion = snapshot.model, snapshot.motion
+        if name == 'carrier':
+            position, velocity = snapshot.joint_positions[:2], snapshot.joint_velocities[:2]
+            acceleration = snapshot.accelerations[0][:2].tolist()
+            angle = turning = turning_rate = 0.0
+        else:
+            x, y, theta = snapshot.joint_positions
+            along, across, rotation = snapshot.tip
+            position, angle = place(x, y, theta, along, across), theta + rotation
+            speeds, _ = model.velocities(motion[np.newaxis], model.tip_point)
+            velocity, turning = speeds[0, 0].tolist(), snapshot.tip_turning
+            coordinates, tip = snapshot.accelerations
+            acceleration = tip.tolist()
+            turning_rate = float(coordinates[2] + model.points.rotation[:, -1] @ coordinates[3:])
+        state = EntityState()
+        state.header.stamp.sec, state.header.stamp.nanosec = snapshot.time
+        state.header.frame_id = self._node.frames['world']
+        state.pose = Pose(position=_xy(Point, position), orientation=Quaternion(
+            z=math.sin(0.5 * angle), w=math.cos(0.5 * angle)))
+        state.twist = Twist(linear=_xy(Vector3, velocity), angular=Vector3(z=turning))
+        state.acceleration = Accel(linear=_xy(Vector3, acceleration),
+                                   angular=Vector3(z=turning_rate))
+        return state
+
+    def _set_entity_state(self, request, response):
+        state = request.state
+        if _known(request.entity) != 'carrier':
+            raise _RefusalError('shaft and modes do not follow from a state of the end effector: '
+                                'set that of the carrier')
+        world = self._node.frames['world']
+        if state.header.frame_id not in ('', world):
+            raise _RefusalError(f'frame_id must be empty or {world}, got {state.header.frame_id}')
+        # Version 1 has no flags: pose and twist are set.
+        if getattr(request, 'set_acceleration', False):
+            raise _RefusalError('accelerations follow from forces')
+        position = velocity = None
+        if getattr(request, 'set_pose', True):
+            position = _in_plane(state.pose.position, response.INVALID_POSE)
+            at = state.pose.orientation
+            turned = math.hypot(at.x, at.y, at.z)
+            if not (turned <= _ROUNDING and abs(abs(at.w) - 1.0) <= _ROUNDING):
+                raise _RefusalError(
+                    'orientation must be that of world: the carrier does not turn; got '
+                    f'x {at.x:g}, y {at.y:g}, z {at.z:g}, w {at.w:g}', response.INVALID_POSE)
+        if getattr(request, 'set_twist', True):
+            velocity, turning = _in_plane(state.twist.linear, _FAILED), state.twist.angular
+            if (turning.x, turning.y, turning.z) != (0.0, 0.0, 0.0):
+                raise _RefusalError('twist.angular must be 0: the carrier does not turn', _FAILED)
+        self._node.set_carrier(position, velocity)
+
+    # Worlds, which are scenes.
+
+    def _load_world(self, request, response):
+        # Version 1 has the fields of the resource in the request itself.
+        resource = getattr(request, 'world_resource', request)
+        if not (resource.uri or resource.resource_string):
+            raise _RefusalError('uri and resource_string are empty', response.NO_RESOURCE)
+        uri = urlsplit(resource.uri)
+        path = Path(unquote(uri.path) if uri.scheme else resource.uri)
+        if uri.scheme not in ('', 'file') or path.suffix not in ('', '.yaml', '.yml'):
+            raise _RefusalError('uri must be the path of a YAML file or the name of a scene, got '
+                                f'{resource.uri}', response.UNSUPPORTED_FORMAT)
+        source = str(path) if resource.uri else 'resource_string'
+        text = None if resource.uri else resource.resource_string
+        self._stop(check(read_parameter_file(source, text), source))
+        self._world = Path(source).stem, resource.uri
+        self._get_current_world(request, response)
+
+    def _get_current_world(self, request, response):
+        name, uri = self._world
+        scene = self._node.scene
+        response.world = WorldResource(
+            name=name, description=str(scene), world_resource=Resource(
+                uri=uri, resource_string=yaml_text({'/**': {'ros__parameters': {
+                    name: list(value) if isinstance(value, tuple) else value
+                    for name, value in scene.values.items()}}})))
+
+    def _get_available_worlds(self, request, response):
+        if request.filter.tags or request.additional_sources:
+            raise _RefusalError('worlds have no tags, and are only those that are installed')
+        response.worlds = [WorldResource(name=name, world_resource=Resource(uri=path.as_uri()))
+                           for name, path in installed_scenes().items()]
+
+
+def _known(entity):
+    if entity not in _ENTITIES:
+        raise _RefusalError(f'entity must be one of {", ".join(_ENTITIES)}, got {entity[:60]}',
+                            Result.RESULT_NOT_FOUND)
+    return entity
+
+
+def _xy(kind, values):
+    return kind(x=values[0], y=values[1])
+
+
+def _in_plane(vector, code):
+    """Return x and y of a message, or refuse it with a code."""
+    if not (math.isfinite(vector.x) and math.isfinite(vector.y) and vector.z == 0.0):
+        raise _RefusalError('x and y must be finite and z 0: the carrier moves in a plane; got '
+                            f'{vector.x:g}, {vector.y:g}, {vector.z:g}', code)
+    return [vector.x, vector.y]

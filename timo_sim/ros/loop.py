@@ -33,6 +33,12 @@ _BATCH = 500          # most steps of one compiled call, so that no other thread
 _ANSWERED = 'rate.joint_states', 'rate.clock'
 
 
+def sync_steps(values: dict[str, Any], step: float) -> int:
+    """Return the steps [s] of a `sync_period`, 0 without lock step, or raise ParameterError."""
+    return 0 if values['sync'] == 'free' else whole_ratio(
+        'sync_period', values['sync_period'], 'integrator.step', step)
+
+
 class StateError(Exception):
     """The simulation cannot do what is asked in its present state; the text says why."""
 
@@ -49,8 +55,7 @@ class Loop:
     def __init__(self, simulator: Simulator, values: dict[str, Any], commands: Commands,
                  outlets: list, log: RunLog, logger: Any, end: int) -> None:
         self.simulator, self.end = simulator, end
-        period = 0 if values['sync'] == 'free' else whole_ratio(
-            'sync_period', values['sync_period'], 'integrator.step', simulator.scene.step)
+        period = sync_steps(values, simulator.scene.step)
         self.pace = Pace(simulator.scene.step, waits=period > 0)
         self.gate = Gate(period, values['sync_timeout'], values['sync'] != 'any_command')
         self.paused: bool = values['start_paused']
@@ -229,6 +234,19 @@ class Loop:
         """Publish the state after a reset, and go on from now."""
         self.publish(everything=True)
         self.pace.start(self.simulator.steps, time.monotonic())
+
+    def set_carrier(self, position: list[float] | None,
+                    velocity: list[float] | None) -> list[float]:
+        """Set position [m] and velocity [m/s] of the carrier, or one; return x, y of both."""
+        self._refuse_diverged()
+        now = self.snapshot()
+        carrier = [*(position or now.joint_positions[:2]), *(velocity or now.joint_velocities[:2])]
+        self.simulator.set_carrier(carrier)
+        self.check_subscribers()
+        if self.gate.takes_commands(self.simulator.steps):
+            self._send(outlet for outlet in self._outlets
+                       if outlet.subscribed and outlet not in self._late)
+        return carrier
 
     def step(self, count: int, stop: Any) -> str:
         """Do steps while paused; return the step reached, as text, or raise StateError."""

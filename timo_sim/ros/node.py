@@ -8,7 +8,7 @@
 
 """The node `timo_sim`, which connects loop, topics, services, diagnostics and log."""
 
-from collections.abc import Iterator
+from collections.abc import Callable, Iterator
 from functools import partial
 from importlib.util import find_spec
 import math
@@ -22,14 +22,15 @@ from std_srvs.srv import SetBool, Trigger
 
 from timo_sim.log.write import CHANGE, change_note, RESET, start_note
 from timo_sim.ros.diagnostics import Health
-from timo_sim.ros.loop import Loop, StateError
+from timo_sim.ros.loop import Loop, StateError, sync_steps
 from timo_sim.ros.parameters import ParameterNode, steps_between_messages
 from timo_sim.ros.topics import Commands, LateOutlet, MotionOutlet, RunLog
 from timo_sim.runs.simulate import resolve
 from timo_sim.scene.parameters import (
     changed, frame_names, LATEST, ParameterError, PARAMETERS, SCENE)
-from timo_sim.scene.scene import find_implausible, scene_from
-from timo_sim.simulation.simulator import Simulator, STEPS_BEHIND
+from timo_sim.scene.scene import find_implausible, Scene, scene_from
+from timo_sim.simulation.simulator import CARRIER, Simulator, STEPS_BEHIND
+from timo_sim.simulation.snapshot import Snapshot
 from timo_sim.topics.outputs import outputs, TRANSFORMS
 
 _LONGEST_SLEEP = 0.1  # [s] after which a sleeping node looks at its flags
@@ -41,32 +42,50 @@ class SimNode(ParameterNode):
 
     `run` is called by the main thread, callbacks by the executor's. Both touch the simulation only
     under `_lock`. `stop` is a StopRequest; `options` are those of rclpy.node.Node, such as the
-    namespace of one of several nodes in a process. Raises ParameterError.
+    namespace of one of several nodes in a process. `frames` are the names of FRAMES. Raises
+    ParameterError.
     """
 
     def __init__(self, stop: Any, **options: Any) -> None:
         # Compiling takes seconds. Services and topics come after it: others wait for these.
         super().__init__('timo_sim', start_parameter_services=False, **options)
-        self._stop, self._lock = stop, threading.Lock()
-        self._values, tell = self.given(), self.get_logger().info
-        if self._values['model.accuracy']:
+        self._stop, self._lock, self._ended = stop, threading.Lock(), False
+        self._values, self._kept = self.given(), [*self.publishers]  # rclpy's own
+        self._make(*self._prepare(self._values))
+        self.declare(self._values, self._on_parameters)
+        self._parameter_services = ParameterService(self)
+        self._offer_services()
+
+    def _prepare(self, values):
+        """
+        Return what `_make` needs for parameters, among which modes and step may be chosen.
+
+        All that is wrong with a scene is found here.
+        """
+        tell = self.get_logger().info
+        if values['model.accuracy']:
             tell('choosing modes and step for model.accuracy')
-        scene, steps = resolve(scene_from(self._values), self._values['duration'], tell,
-                               partial(steps_between_messages, self._values))
-        self._values.update(scene.values)
-        values, steps_each = self._values, steps_between_messages(self._values, scene.step)
-        self._simulator = Simulator(scene, values['estimate_error'])
-        self._simulator.warm_up(tell, messages=True)
-        self._frames = frame_names(values)
+        scene, steps = resolve(scene_from(values), values['duration'], tell,
+                               partial(steps_between_messages, values))
+        values.update(scene.values)
+        steps_each = steps_between_messages(values, scene.step)
+        sync_steps(values, scene.step)
+        simulator = Simulator(scene, values['estimate_error'])
+        simulator.warm_up(tell, messages=True)
         doubts = find_implausible(scene.values)
         if doubts:
             self.get_logger().warning(doubts)
-        self._step = scene.step
+        return simulator, steps_each, steps or math.floor(LATEST / scene.step)
+
+    def _make(self, simulator, steps_each, end):
+        values, scene = self._values, simulator.scene
+        self._simulator, self._step = simulator, scene.step
+        self.frames = frame_names(values)
         self._log = RunLog(self.get_logger())
-        self._commands = Commands(self, values['motor.dc.resistance'] > 0.0, self._frames)
+        self._commands = Commands(self, values['motor.dc.resistance'] > 0.0, self.frames)
         self._outlets = self._make_outlets(scene)
         self._loop = Loop(self._simulator, values, self._commands, self._outlets, self._log,
-                          self.get_logger(), steps or math.floor(LATEST / scene.step))
+                          self.get_logger(), end)
         self._health = Health(self, self._simulator, self._loop, self._commands, self._log,
                               values['publish_clock'])
         self._live = None
@@ -76,9 +95,6 @@ class SimNode(ParameterNode):
             if self._live.warning:
                 self.get_logger().warning(self._live.warning)
         self._loop.configure(values, steps_each)
-        self.declare(values, self._on_parameters)
-        self._parameter_services = ParameterService(self)
-        self._offer_services()
 
     @property
     def subscriptions(self) -> Iterator[Subscription]:
@@ -91,9 +107,9 @@ class SimNode(ParameterNode):
         try:
             if self._values['publish_arm_shape']:
                 from timo_sim.ros.arm_shape import ArmShape
-                outlets.append(ArmShape(self, self._simulator.model, self._frames['world']))
+                outlets.append(ArmShape(self, self._simulator.model, self.frames['world']))
             if self._values['publish_tf']:
-                outlets.append(MotionOutlet(self, TRANSFORMS, self._frames))
+                outlets.append(MotionOutlet(self, TRANSFORMS, self.frames))
                 outlets[-1].logged = False
         except ModuleNotFoundError as error:
             name = 'publish_tf' if error.name == 'tf2_msgs' else 'publish_arm_shape'
@@ -104,8 +120,8 @@ class SimNode(ParameterNode):
 
     def _make_outlet(self, output):
         delay = output.delay and round(self._values[output.delay] / self._step)
-        outlet = LateOutlet(self, output, self._frames, delay) if delay else MotionOutlet(
-            self, output, self._frames)
+        outlet = LateOutlet(self, output, self.frames, delay) if delay else MotionOutlet(
+            self, output, self.frames)
         outlet.always_logged = not output.delay or self._values['record_sensors']
         return outlet
 
@@ -120,7 +136,7 @@ class SimNode(ParameterNode):
             Interfaces(self)
 
     def open(self) -> None:
-        """Open the log and publish the initial state, before any callback can change it."""
+        """Open the log, publish the initial state before a callback can change it, start time."""
         if self._values['record']:
             self._log.open(
                 self._values['record_file'], self._commands.channels,
@@ -134,18 +150,20 @@ class SimNode(ParameterNode):
             f'{"paused" if self.paused else "running"}: {self._simulator.scene.modal_count} '
             f'modes, step {self._step:g} s, waiting for commands' + (
                 f', logging to {self._log.path}' if self._log.path else ''))
+        self._opened = time.monotonic()
+        self._loop.pace.start(self.steps, self._opened)
+        self._health.start(self._opened)
 
     def run(self) -> None:
         """Advance sim time with wall time until asked to stop."""
-        started, loop = time.monotonic(), self._loop
-        loop.pace.start(self.steps, started)
-        self._health.start(started)
-        while not self._stop.set and self.context.ok() and self.steps < loop.end:
+        while not self._stop.set and self.context.ok() and self.steps < self._loop.end:
             with self._lock:
                 wait = self._tick()
             # In slices, because a signal does not end a sleep early.
             time.sleep(min(max(wait, 0.0), _LONGEST_SLEEP))
-        self._close(time.monotonic() - started)
+        with self._lock:
+            self._ended = True
+            self._close()
 
     def _tick(self):
         """Do what is due now; return the time until something is due again [s]."""
@@ -158,7 +176,8 @@ class SimNode(ParameterNode):
         # The error is measured while nothing else is due.
         return 0.0 if wait > 0.0 and self._simulator.measure_error(STEPS_BEHIND) else wait
 
-    def _close(self, wall_time):
+    def _close(self):
+        wall_time = time.monotonic() - self._opened
         error = self._simulator.estimated_error
         self._health.pass_on_warning()
         if self._live:
@@ -199,8 +218,13 @@ class SimNode(ParameterNode):
 
     @property
     def steps(self) -> int:
-        """Number of steps done; a reset does not set it back."""
+        """Number of steps done; only `begin_again` sets it back."""
         return self._simulator.steps
+
+    @property
+    def scene(self) -> Scene:
+        """The scene, with the parameters that were set at run time."""
+        return self._simulator.scene
 
     def pause(self, paused: bool) -> str:
         """Pause, or go on; return the new state, as text, or raise StateError."""
@@ -215,6 +239,49 @@ class SimNode(ParameterNode):
             self._log.note(RESET, {'step': str(self.steps)})
             self._loop.restart()
             return f'reset at step {self.steps}'
+
+    def begin_again(self, given: dict[str, Any] | None = None, paused: bool = False) -> None:
+        """
+        Begin again at time 0 with a new log, as if the node was started again.
+
+        `given` are checked values of another scene, of which those of the node itself are left
+        out: its parameters stay. It is paused if it was, or `paused`. Raises ParameterError, and
+        nothing changes; StateError if the node ends.
+        """
+        values = dict(self._values)
+        if given is not None:
+            values.update({name: given.get(name, rule.default)
+                           for name, rule in PARAMETERS.items() if rule.scope == SCENE})
+        made = self._prepare(values)
+        with self._lock:
+            if self._ended:
+                raise StateError('the node ends')
+            paused = paused or self.paused
+            self._close()
+            for publisher in [each for each in self.publishers if each not in self._kept]:
+                self.destroy_publisher(publisher)
+            for subscription in [each for each in super().subscriptions if each.raw]:
+                self.destroy_subscription(subscription)
+            self._values.update(values)
+            self._make(*made)
+            self._loop.paused = paused
+            self.redeclare(values)
+            self.open()
+
+    def set_carrier(self, position: list[float] | None, velocity: list[float] | None) -> None:
+        """
+        Set position [m] and velocity [m/s] of the carrier, x and y; None: that stays.
+
+        Raises StateError if the simulation has diverged; else as `Simulator.set_carrier`.
+        """
+        with self._lock:
+            carrier = self._loop.set_carrier(position, velocity)
+            self._log.note(CHANGE, change_note(self.steps, {CARRIER.name: carrier}))
+
+    def look(self, read: Callable[[Snapshot], Any]) -> Any:
+        """Return what a function reads from the Snapshot of the present motion."""
+        with self._lock:
+            return read(self._loop.snapshot())
 
     def step(self, count: int | None = None) -> str:
         """

@@ -31,7 +31,7 @@ from timo_sim.scene.parameters import (
     check, frame_names, LATEST, Parameter, ParameterError, PARAMETERS, SPLIT, steps_in,
     whole_ratio)
 from timo_sim.scene.scene import Scene, scene_from
-from timo_sim.simulation.simulator import Simulator
+from timo_sim.simulation.simulator import CARRIER, Simulator
 from timo_sim.simulation.warnings import DivergenceError
 from timo_sim.topics.commands import COMMANDED, COMMANDS, has_tip_force, load_of_commands
 from timo_sim.topics.outputs import outputs, title, with_angles
@@ -161,7 +161,7 @@ class Segment:
     first: int      # step
     last: int
     commands: list  # (step, index in COMMANDS, values that it sets, message), ascending
-    changes: list   # (step, values by name) of each setting of parameters, ascending
+    changes: list   # (step, values by name) of each setting, ascending
     samples: dict   # by short name of a topic, the steps of its messages, ascending
     logged: dict    # their numbers, shape (n, k), of topics that the log has
     replayed: dict = field(default_factory=dict)  # numbers of the replay at the samples
@@ -357,7 +357,10 @@ class Replay:
                 following = min(following, steps[place])
             while changes[next_change][0] <= step:
                 _, values = changes[next_change]
-                simulator.change(simulator.scene.vary(values))
+                if CARRIER.name in values:
+                    simulator.set_carrier(values[CARRIER.name])
+                else:
+                    simulator.change(simulator.scene.vary(values))
                 if self._log:
                     self._log.note(CHANGE, change_note(step, values))
                 next_change += 1

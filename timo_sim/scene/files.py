@@ -70,25 +70,31 @@ def scene_file(source: Path | str) -> Path:
     path = Path(source)
     if path.is_file() or path.suffix or path.name != str(source):
         return path
-    # A scene has a section /**, for a node of any name; other files in config/ have none.
-    known = {entry.stem: entry for folder in _FOLDERS for entry in sorted(folder.glob('*.yaml'))
-             if '\n/**:\n' in entry.read_text(encoding='utf-8')}
+    known = installed_scenes()
     if path.name not in known:
         raise FileNotFoundError(f'{source} is neither a file nor one of the scenes '
                                 f'{", ".join(known)}{did_you_mean(source, known)}')
     return known[path.name]
 
 
-def read_parameter_file(path: Path | str) -> dict[str, Any]:
+def installed_scenes() -> dict[str, Path]:
+    """Return the paths of the installed scenes by name."""
+    # A scene has a section /**, for a node of any name; other files in config/ have none.
+    return {entry.stem: entry for folder in _FOLDERS for entry in sorted(folder.glob('*.yaml'))
+            if '\n/**:\n' in entry.read_text(encoding='utf-8')}
+
+
+def read_parameter_file(path: Path | str, text: str | None = None) -> dict[str, Any]:
     """
     Return the values for the node `/timo_sim` in a ROS parameter file, unchecked, by dotted name.
 
     `path` may also be the name of an installed scene. Sections match the node as in ROS: names
     and namespaces, with * for one of them and ** for any number. Parameters of rclpy itself are
-    left out. Raises ParameterError if the file is not valid or has no values for the node.
+    left out. `text` stands for the content of a file; errors name it by `path`. Raises
+    ParameterError if the file is not valid or has no values for the node.
     """
-    path = scene_file(path)
-    sections, values = read_sections(path), {}
+    path = scene_file(path) if text is None else path
+    sections, values = read_sections(path, text), {}
     for node, section in sections.items():
         if is_for(node, '/timo_sim'):
             values.update(section)
@@ -99,13 +105,13 @@ def read_parameter_file(path: Path | str) -> dict[str, Any]:
     return {name: value for name, value in values.items() if not is_of_rclpy(name)}
 
 
-def read_sections(path: Path | str) -> dict[str, dict[str, Any]]:
+def read_sections(path: Path | str, text: str | None = None) -> dict[str, dict[str, Any]]:
     """
-    Return the sections of a ROS parameter file: unchecked values by dotted name, by node.
+    Return the sections of a ROS parameter file, or its text: unchecked values by name, by node.
 
     Raises ParameterError if it is not YAML, or has duplicate names, aliases, merge keys.
     """
-    content = read_yaml(path)
+    content = read_yaml(path) if text is None else parse_yaml(text, path)
     found, waiting = {}, [('', {} if content is None else content)]
     while waiting:
         node, inside = waiting.pop(0)
