@@ -26,7 +26,7 @@ from timo_sim.steps.instance import SAVED
 
 ROOT = Path(__file__).resolve().parents[1]
 RUN, ABUSE = (ROOT / 'test/data' / name for name in ('run_arm.c', 'abuse_arm.c'))
-CC = shutil.which('cc')
+CC, ARM, QEMU = map(shutil.which, ('cc', 'aarch64-linux-gnu-gcc', 'qemu-aarch64'))
 pytestmark = pytest.mark.skipif(CC is None, reason='needs a C compiler')
 NO_LOADS = {f'load.{channel}.{kind}': () for channel in CHANNELS for kind in (
     'harmonic.amplitude', 'harmonic.frequency', 'harmonic.phase', 'piecewise.time',
@@ -72,17 +72,17 @@ def scene_of(changes):
     return timo_sim.load_scene('paper', {**NO_LOADS, **changes})
 
 
-def compile_program(source, folder, *options):
+def compile_program(source, folder, *options, cc=CC):
     """Return the program of a C source and the object file in a folder."""
     program = folder / 'program'
-    subprocess.run([CC, '-std=c99', '-Wall', '-Wextra', '-Werror', *options, f'-I{folder}', '-o',
+    subprocess.run([cc, '-std=c99', '-Wall', '-Wextra', '-Werror', *options, f'-I{folder}', '-o',
                     program, source, folder / 'arm.o', '-lm'], check=True)
     return program
 
 
-def run_program(program, lines):
+def run_program(program, lines, *emulator):
     """Return the numbers that the program of RUN prints, a row for each line."""
-    found = subprocess.run([program], input='\n'.join(lines), text=True, check=True,
+    found = subprocess.run([*emulator, program], input='\n'.join(lines), text=True, check=True,
                            stdout=subprocess.PIPE).stdout
     return [[float.fromhex(word) for word in line.split()] for line in found.splitlines()]
 
@@ -215,6 +215,26 @@ def test_code_for_aarch64(tmp_path):
     assert content[:4] == b'\x7fELF' and int.from_bytes(content[18:20], 'little') == 183
     assert b'' == subprocess.run(['nm', '-u', tmp_path / 'arm.o'], check=True,
                                  stdout=subprocess.PIPE).stdout
+
+
+@pytest.mark.skipif(not (ARM and QEMU), reason='needs qemu-user and gcc-aarch64-linux-gnu')
+@pytest.mark.parametrize('name, estimate', [
+    ('free', True), ('newton', False), ('sticking', False), ('five modes, push', False)])
+def test_an_emulated_aarch64_differs_by_round_off(name, estimate, tmp_path):
+    """All outputs, 4 N m at the shaft for 0.2 s; accelerations are differences, good to 1e-8."""
+    scene, found = scene_of(SCENES[name]), []
+    torque = [each.column for each in interface_of(scene, False).inputs].index(TORQUE)
+    for target, options, cc, emulator in (
+            ('host', [], CC, []), ('aarch64', ['-static'], ARM, [QEMU])):
+        folder = tmp_path / target
+        timo_sim.export_c(scene, folder, target, estimate=estimate)
+        found.append(run_program(compile_program(RUN, folder, *options, cc=cc), [
+            f'i {torque} 4', *20 * ['s 10', 'o']], *emulator))
+    here, there = np.array(found)
+    scale = np.maximum(np.abs(here).max(axis=0), 1e-9)  # some are zero
+    assert np.ptp(here, axis=0).max() > 0.1 and np.isfinite(there).all()
+    difference = np.abs(there - here).max(axis=0) / scale
+    assert difference.max() < 1e-7 and difference[:12].max() < 1e-12
 
 
 def test_saved_state_goes_on_to_the_bit(tmp_path):

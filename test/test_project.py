@@ -186,7 +186,7 @@ def test_metadata_agree(package):
     # rosdep installs every dependency with apt.
     assert not [depend.name for kind in ('build', 'build_export', 'buildtool', 'exec', 'test')
                 for depend in getattr(package, f'{kind}_depends')
-                if not rosdep['apt'].get(depend.name) and not rosdep['jazzy'].get(depend.name)]
+                if not rosdep['apt'].get(depend.name) and not rosdep['ros'].get(depend.name)]
     # package.xml and the pip list make up the dependencies.
     keys = {key.removeprefix('python3-') for key in run_keys & {*rosdep['apt']}}
     from_apt = {DISTRIBUTIONS.get(key, key) for key in keys}
@@ -213,7 +213,7 @@ def test_imports_are_declared(package):
     declared = {*requirements(PROJECT['dependencies'])}
     for extra in re.findall(r'\w+', EXTRAS['all'][0].partition('[')[2]):
         declared |= {*requirements(EXTRAS[extra])}
-    ros = (run_keys & {*rosdep['jazzy']}) | OPTIONAL_ROS
+    ros = (run_keys & {*rosdep['ros']}) | OPTIONAL_ROS
     imported = {module.split('.')[0]: path for path in (
         *MODULES.values(), *ROOT.glob('launch/*.py')) for module in named_modules(path)}
     assert imported.keys() >= {'numpy', 'rclpy', 'launch'}
@@ -229,7 +229,7 @@ def test_tests_that_are_left_out_are_named_and_the_workflow_leaves_out_none(monk
     conftest.pytest_terminal_summary(reporter)
     assert {text: len(each) for text, each in reporter.stats.items()} == {
         'left out for want of tf2_msgs, ros2cli': 2}
-    ros = (ROOT / '.github/workflows/test.yml').read_text().partition('container: ros:jazzy')[2]
+    ros = (ROOT / '.github/workflows/test.yml').read_text().partition('container: ros:')[2]
     assert f"python -c 'import {', '.join(sorted({*conftest.NEED.values()}))}'" in ros
 
 

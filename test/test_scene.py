@@ -298,7 +298,7 @@ HOSTILE = [
     ('timo_sim: {ros__parameters: ' + '{a: ' * 20000, 'is not a YAML file'),
     ('timo_sim: {ros__parameters: {arm.length: 2001-13-45}}', 'is not a YAML file: month must'),
     ('timo_sim: {ros__parameters: {arm.length: 1\0}}', 'is not a YAML file'),
-    ('timo_sim: {ros__parameters: {arm.length: 0x' + 'f' * 9000 + '}}', 'got a huge int'),
+    ('timo_sim: {ros__parameters: {arm.length: 0x' + 'f' * 9000 + '}}', 'got (a huge |<)int'),
     ('timo_sim: {ros__parameters: {record_file: "a\\0b"}}', 'record_file must be a text'),
     ('', 'must have parameters under')
 ]

@@ -41,7 +41,8 @@ class LinearBeam:
                  elements=ELEMENTS):
         body, arm = scene.manipulator, scene.manipulator.arm
         section, size = arm.section, arm.length / elements
-        lobatto = np.concatenate([[-1.0], legendre.Legendre.basis(ORDER).deriv().roots(), [1.0]])
+        inner = legendre.Legendre.basis(ORDER).deriv().roots().real
+        lobatto = np.concatenate([[-1.0], inner, [1.0]])
         gauss, weights = legendre.leggauss(ORDER + 2)
         shapes = np.linalg.inv(legendre.legvander(lobatto, ORDER))
         value = legendre.legval(gauss, shapes)  # of each shape at the Gauss points

@@ -184,7 +184,8 @@ def equilibrium(scene, order=12, elements=2):
 def _rule(order):
     # Gauss-Lobatto nodes and weights in [-1, 1], and the differentiation matrix there.
     last = np.eye(order + 1)[order]
-    x = np.concatenate([[-1.0], np.sort(legendre.legroots(legendre.legder(last))), [1.0]])
+    inner = np.sort(legendre.legroots(legendre.legder(last)).real)
+    x = np.concatenate([[-1.0], inner, [1.0]])
     weights = 2.0 / (order * (order + 1) * legendre.legval(x, last)**2)
     values = legendre.legvander(x, order)
     slopes = np.column_stack([legendre.legval(x, legendre.legder(unit))

@@ -72,6 +72,18 @@ def test_code_is_loaded_from_disk(find):
     assert product_by(2) == product_by(3) == 2
 
 
+def test_code_of_another_processor_is_not_loaded(find, monkeypatch):
+    """A folder of code or a wheel may come to another computer."""
+    folder = find()
+    product_by(3)
+    intermediate, _ = code_in(folder)
+    intermediate.unlink()
+    with monkeypatch.context() as patch:
+        patch.setattr(machine.llvm, 'get_host_cpu_name', lambda: 'generic')
+        assert product_by(2) == 2
+    assert product_by(2) == 3
+
+
 @pytest.mark.parametrize('damage', [
     lambda content: b'', lambda content: content[:-100],
     lambda content: content[:400] + bytes([content[400] ^ 1]) + content[401:]],

@@ -187,7 +187,7 @@ def test_tf_without_its_messages_ends_with_one_line_and_code_2(start, tmp_path, 
     code, output = start(fresh=True, publish_tf=True, record=False).wait()
     assert code == 2 and 'Traceback' not in output
     assert ('timo_sim: publish_tf needs tf2_msgs, which is not installed: apt-get install '
-            'ros-jazzy-tf2-msgs\n') in output
+            'ros-$ROS_DISTRO-tf2-msgs\n') in output
 
 
 def test_signals_end_the_process_cleanly(start, tmp_path):

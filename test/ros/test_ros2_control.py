@@ -36,8 +36,9 @@ def test_controllers_have_joints_and_interfaces_of_the_urdf_and_the_rate_of_the_
     sections = read_sections(ROOT / 'config/controllers.yaml')
     effort, pid = sections['/effort_controller'], sections['/pid_controller']
     (dof,), (claimed,) = pid['dof_names'], effort['joints']
+    claimed += f'/{effort["interface_name"]}'
     assert commands == {f'{joint}/effort' for joint in JOINTS}
-    assert {f'{claimed}/effort', f'{dof}/{pid["command_interface"]}'} <= commands
+    assert {claimed, f'{dof}/{pid["command_interface"]}'} <= commands
     assert {f'{dof}/{name}' for name in pid['reference_and_state_interfaces']} <= states
     assert [name for name in pid if name.startswith('gains') and f'.{dof}.' not in name] == []
     # generate_parameter_library refuses whole numbers for doubles.

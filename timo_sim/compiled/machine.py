@@ -166,7 +166,8 @@ def module_for_target(entry: Any, constants: tuple[Any, ...], target: str, name:
 
 
 def _digest(entry, kinds, symbols, target):
-    processor = (f'{llvm.get_host_cpu_name()} {llvm.get_host_cpu_features().flatten()}'
+    processor = (f'{llvm.get_process_triple()} {llvm.get_host_cpu_name()} '
+                 f'{llvm.get_host_cpu_features().flatten()}'
                  if target == 'host' else target)
     key = f'{file_name(entry, kinds)} {sorted(symbols.items())} {processor}'
     return f'timo_{hashlib.sha256(key.encode()).hexdigest()[:24]}'

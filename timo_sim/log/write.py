@@ -274,7 +274,7 @@ def information(summary: Summary, name: str) -> dict[str, Any]:
         'version': 9, 'storage_identifier': 'mcap', **span,
         'topics_with_message_count': topics, 'compression_format': '', 'compression_mode': '',
         'relative_file_paths': [printable(name)], 'files': [{'path': printable(name), **span}],
-        'custom_data': {}, 'ros_distro': 'jazzy'}
+        'custom_data': {}, 'ros_distro': os.environ.get('ROS_DISTRO', 'jazzy')}
 
 
 FLUSH_PERIOD = 0.5       # [s] of wall time; a crash loses at most twice this

@@ -115,7 +115,7 @@ class SimNode(ParameterNode):
             name = 'publish_tf' if error.name == 'tf2_msgs' else 'publish_arm_shape'
             package = str(error.name).replace('_', '-')
             raise ParameterError(f'{name} needs {error.name}, which is not installed: '
-                                 f'apt-get install ros-jazzy-{package}') from None
+                                 f'apt-get install ros-$ROS_DISTRO-{package}') from None
         return outlets
 
     def _make_outlet(self, output):
