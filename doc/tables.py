@@ -96,7 +96,7 @@ def _goals(run):
     return [f'{goal:g} m' for goal in run['goals_m']]
 
 
-RIVALS = {'engine': 'engines', 'links': 'links by hand'}  # kinds of methods, in words
+RIVALS = {'engine': 'the best engine', 'links': 'links by hand'}  # kinds of methods, in words
 
 
 def _best(run, *kinds):
@@ -116,13 +116,13 @@ def _ratio(above, below, key='seconds'):
 def _ratios(part):
     """Return rows of the times of the best of each rival kind over ours, in two runs."""
     rows = []
-    for kind in RIVALS:
-        for key, words in (('seconds', 'solver'), ('whole_s', 'end to end')):
-            before, now = ([_ratio(other and other[1], own, key) for other, own in zip(
-                _best(run, kind), run['methods']['exact']['best'])] if run else 3 * ['no run']
-                for run in _measured(part))
-            rows.append((f'ratio to {RIVALS[kind]}, {words} (in the run before)',
-                         *(f'**{each}** ({earlier})' for each, earlier in zip(now, before))))
+    for kind, words in RIVALS.items():
+        before, now = ([[_ratio(other and other[1], own, key) for key in ('seconds', 'whole_s')]
+                        for other, own in zip(_best(run, kind), run['methods']['exact']['best'])]
+                       if run else 3 * [2 * ['no run']] for run in _measured(part))
+        rows.append((f'ratio to {words}: solver, end to end (in the run before)',
+                     *('**{}**, {} ({}, {})'.format(*each, *earlier)
+                       for each, earlier in zip(now, before))))
     return rows
 
 
@@ -137,7 +137,7 @@ def benchmark():
     return _table(
         ('for an error in w(l) below', *_goals(run)),
         ('timo_sim, `exact`', *map(_cell, run['methods']['exact']['best'])),
-        *((f'the best of {words}', *(f'{each[0]}: {_cell(each[1])}' if each else 'not reached'
+        *((words, *(f'{each[0]}: {_cell(each[1])}' if each else 'not reached'
                                  for each in _best(run, kind)))
           for kind, words in RIVALS.items()),
         *_ratios('paper'),
