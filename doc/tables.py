@@ -138,8 +138,7 @@ def benchmark():
         ('for an error in w(l) below', *_goals(run)),
         ('timo_sim, `exact`', *map(_cell, run['methods']['exact']['best'])),
         *((words, *(f'{each[0]}: {_cell(each[1])}' if each else 'not reached'
-                                 for each in _best(run, kind)))
-          for kind, words in RIVALS.items()),
+                    for each in _best(run, kind))) for kind, words in RIVALS.items()),
         *_ratios('paper'),
         ('solver, by the reduced model x by the step', *_gains(run)))
 

@@ -42,8 +42,8 @@ def _accelerations(links, place, speed, load, held, turned, work, out):
     [N m]; a shaft that is `held` has the acceleration `turned`. `work`, shape (n, n + 2), is
     overwritten.
     """
-    first, second, springs = links
-    count, cosine, sine, matrix = len(first), work[:, -1], work[:, -2], work[:, :-2]
+    each, first, second, springs = links
+    count, cosine, sine, matrix = len(each), work[:, -1], work[:, -2], work[:, :-2]
     for i in range(count):
         cosine[i], sine[i] = math.cos(place[i]), math.sin(place[i])
         out[i] = first[i] * (cosine[i] * load[1] - sine[i] * load[0])
@@ -80,7 +80,7 @@ def _accelerations(links, place, speed, load, held, turned, work, out):
 @_compiled
 def _integrate(links, place, loads, held, turned, step, every, samples):
     """Integrate by the classical Runge-Kutta method, from rest."""
-    count = len(place)
+    count = len(links[0])
     work = np.empty((count, count + 2))
     speed, q, v, a, moved, gained = np.zeros((6, count))
     for k in range(len(loads)):
@@ -120,7 +120,9 @@ def rigid_links(scene, links, step, duration, every, drive=None, gauss=True, mat
     if drive:
         turned[:] = [[drive[2]((k + part) * step) for part in (0.0, 0.5, 1.0)]
                      for k in range(count)]
-    held, constants = scene.values['motor.shaft'] != 'free', (chain.first, second, chain.springs)
+    held = scene.values['motor.shaft'] != 'free'
+    # A tuple has its length in its type, so code is compiled for that number of links.
+    constants = tuple(chain.each), chain.first, second, chain.springs
     place = np.full(len(chain.lengths), scene.values['initial.shaft'])
     samples = np.empty((count // every, len(place)))
     _integrate(constants, place.copy(), loads[:1], held, turned[:1], step, 1,

@@ -13,9 +13,9 @@ Run time against error, with other integrators and other engines, and cold start
 draws the plots, and fills the tables of doc/benchmark.md and README.md; `--quick` prints a small
 selection. Each method searches its grid of settings by itself, the cheapest first, until its
 budget of the solver's CPU time is used or nothing cheaper is left to find. A goal is reached by a
-setting, or by the extrapolation of two or three, whose error is below it, if that of its next finer
-neighbour is, too. The cheapest of these are timed again, all methods taking turns; a time is the
-least CPU time.
+setting, or by the extrapolation of two or three, whose error is below it, if that of its next
+finer neighbour is, too. The cheapest of these are timed again, all methods taking turns; a time is
+the least CPU time.
 """
 
 from dataclasses import dataclass, field
