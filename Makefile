@@ -84,7 +84,7 @@ docs: $(VENV)/.docs ## make a site of the pages, build/docs
 	@$(BIN)/python -m sphinx -EqW --keep-going doc build/docs
 	@echo "open build/docs/index.html in a browser"
 
-benchmark: $(VENV)/.benchmark ## measure and fill doc/benchmark.md and README.md, 20 minutes
+benchmark: $(VENV)/.benchmark ## measure and fill doc/benchmark.md and README.md, up to 45 minutes
 	@$(BIN)/python -m benchmark.accuracy.work_precision
 
 benchmark-quick: $(VENV)/.benchmark ## do a part of make benchmark

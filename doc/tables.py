@@ -96,12 +96,15 @@ def _goals(run):
     return [f'{goal:g} m' for goal in run['goals_m']]
 
 
-def _best(run, kind):
-    """Return the name and figures of the cheapest method of a kind for each goal, or None."""
+RIVALS = {'engine': 'the best engine', 'links': 'links by hand'}  # kinds of methods, in words
+
+
+def _best(run, *kinds):
+    """Return the name and figures of the cheapest method of some kinds for each goal, or None."""
     cheapest = []
     for column in range(len(run['goals_m'])):
         found = [(name, each['best'][column]) for name, each in run['methods'].items()
-                 if each['kind'] == kind and each['best'][column]]
+                 if each['kind'] in kinds and each['best'][column]]
         cheapest.append(min(found, key=lambda each: each[1]['seconds'], default=None))
     return cheapest
 
@@ -111,14 +114,15 @@ def _ratio(above, below, key='seconds'):
 
 
 def _ratios(part):
-    """Return rows of the times of the best other method over those of `exact`, in two runs."""
+    """Return rows of the times of the best of each rival kind over ours, in two runs."""
     rows = []
-    for key, words in (('seconds', 'solver'), ('whole_s', 'end to end')):
-        before, now = ([_ratio(other and other[1], own, key) for other, own in zip(
-            _best(run, 'engine'), run['methods']['exact']['best'])] if run else 3 * ['no run']
-            for run in _measured(part))
-        rows.append((f'ratio, {words} (in the run before)',
-                     *(f'**{each}** ({earlier})' for each, earlier in zip(now, before))))
+    for kind, words in RIVALS.items():
+        before, now = ([[_ratio(other and other[1], own, key) for key in ('seconds', 'whole_s')]
+                        for other, own in zip(_best(run, kind), run['methods']['exact']['best'])]
+                       if run else 3 * [2 * ['no run']] for run in _measured(part))
+        rows.append((f'ratio to {words}: solver, end to end (in the run before)',
+                     *('**{}**, {} ({}, {})'.format(*each, *earlier)
+                       for each, earlier in zip(now, before))))
     return rows
 
 
@@ -128,13 +132,14 @@ def _cell(found):
 
 
 def benchmark():
-    """Return what the paper's scene takes by `exact` and by the best of the other engines."""
+    """Return what the paper's scene takes by `exact` and by the best of others."""
     _, run = _measured('paper')
     return _table(
         ('for an error in w(l) below', *_goals(run)),
         ('timo_sim, `exact`', *map(_cell, run['methods']['exact']['best'])),
-        ('the best of the others', *(f'{each[0]}: {_cell(each[1])}' if each else 'not reached'
-                                     for each in _best(run, 'engine'))), *_ratios('paper'),
+        *((words, *(f'{each[0]}: {_cell(each[1])}' if each else 'not reached'
+                    for each in _best(run, kind))) for kind, words in RIVALS.items()),
+        *_ratios('paper'),
         ('solver, by the reduced model x by the step', *_gains(run)))
 
 
@@ -146,7 +151,7 @@ def _scene(part):
                  f'{each["least_error_m"]:.1e} m' if each['least_error_m'] else '-')
                 for name, each in run['methods'].items()]
         return (_table(('error in w(l) below', *_goals(run), 'least error'), *rows) + '\n'
-                + _table(('the best of the others over `exact`', *_goals(run)), *_ratios(part))
+                + _table(('times over those of `exact`', *_goals(run)), *_ratios(part))
                 + f'\nReference: {run["reference"]}.\n\n' + _machine(run))
     return tables
 
@@ -168,7 +173,7 @@ def benchmark_gain():
 def _gains(run):
     """Return, for each goal, the times of the best other method over RK4 and of RK4 over ours."""
     return [f'{_ratio(best and best[1], peer)} x {_ratio(peer, own)}' for best, peer, own in zip(
-        _best(run, 'engine'), *(run['methods'][name]['best'] for name in ('RK4', 'exact')))]
+        _best(run, *RIVALS), *(run['methods'][name]['best'] for name in ('RK4', 'exact')))]
 
 
 def benchmark_bend():

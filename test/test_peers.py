@@ -62,7 +62,7 @@ def test_a_chain_of_links_tends_to_the_arm():
     errors = []
     for links in (5, 10, 20):
         _, theta, carrier, along, across = rigid_links(
-            scene, links, 1e-4, 0.5, 100, identified=False)
+            scene, links, 1e-4, 0.5, 100, gauss=False, matched=0)
         tip = world(theta, carrier, along, across)
         errors.append(np.abs(tip - truth.position(2.0)[1:]).max())
     observed = np.log2(np.array(errors[:-1]) / errors[1:])

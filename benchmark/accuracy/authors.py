@@ -72,14 +72,15 @@ def circle(parts=40):
     import mujoco
 
     scene = clamped(1.0, 0.01, 1e9 * math.pi * 0.005**4 / 4.0, 1e5)
-    arm = chain_of(scene, parts, identified=False)
+    arm = chain_of(scene, parts, gauss=False, matched=0)
     moment, found = 2.0 * math.pi * arm.springs[0] / parts, []
     model = rivals.chain_model(arm, 1e-4)
     data = mujoco.MjData(model)
     data.qpos[:] = 2.0 * math.pi / parts
     mujoco.mj_forward(model, data)
     found.append(-data.qfrc_passive.mean() / moment)
-    model = rivals.rod_model(chain_of(scene, parts, lumped=True, identified=False), 1e-3)
+    model = rivals.rod_model(
+        chain_of(scene, parts, gauss=False, matched=0, lumped=True), 1e-3)
     data = mujoco.MjData(model)
     model.dof_damping[:] = 1e-3
     for step in range(4000):

@@ -9,11 +9,12 @@
 """
 What a control engineer writes for predictive control of this arm: a few rigid links.
 
-The arm is cut into equal parts, each with a hinge and its spring in the middle (rigid finite
-elements: E. Wittbrodt, I. Adamiec-Wojcik, S. Wojciech, Dynamics of Flexible Multibody Systems,
-Springer 2006). So half a part is fixed to the shaft, and another one to the end effector; errors
-are of second order in the number of parts. The coordinates are those of the carrier and the angles
-of the links in the plane; their equations of motion are compiled by numba.
+The arm is cut into links with hinges and springs in between (rigid finite elements: E. Wittbrodt,
+I. Adamiec-Wojcik, S. Wojciech, Dynamics of Flexible Multibody Systems, Springer 2006), half a
+part fixed to the shaft, and another one to the end effector; `rivals.chain_of` says where.
+The coordinates are the angles of the links in the plane. A carrier that is free to move needs
+none: forces on it accelerate the centre of mass of all, and the angles do not depend on its place.
+The equations of motion are compiled by numba.
 """
 
 import math
@@ -23,112 +24,120 @@ import numba
 import numpy as np
 
 from benchmark.accuracy.rivals import chain_of
-from timo_sim.model.layout import FORCE_X, FORCE_Y, TORQUE
+from timo_sim.model.layout import END, FORCE_X, FORCE_Y, MIDDLE, START, TORQUE
 
-_CHANNELS = [FORCE_X, FORCE_Y, TORQUE]
+_CHANNELS, _WHEN = [FORCE_X, FORCE_Y, TORQUE], [START, MIDDLE, END]
+# Of Runge-Kutta: which load (start, middle, end), weight of the rate, part of the step to the next
+_STAGES = ((0, 1.0, 0.5), (1, 2.0, 0.5), (1, 2.0, 1.0), (2, 1.0, 0.0))
 # All of fastmath but that there is no NaN.
 _compiled = numba.njit(fastmath={'reassoc', 'contract', 'arcp', 'nsz'}, error_model='numpy')
 
 
 @_compiled
-def _solve(matrix, vector):
-    """Solve in place, by L D L^T of a symmetric matrix of which the lower half is read."""
-    size = len(vector)
-    for j in range(size):
+def _accelerations(links, place, speed, load, held, turned, work, out):
+    """
+    Write the angular accelerations of the links to `out`, shape (n,).
+
+    `load` is a field [m/s2] along x and y that pulls at all masses, and the torque on the shaft
+    [N m]; a shaft that is `held` has the acceleration `turned`. `work`, shape (n, n + 2), is
+    overwritten.
+    """
+    each, first, second, springs = links
+    count, cosine, sine, matrix = len(each), work[:, -1], work[:, -2], work[:, :-2]
+    for i in range(count):
+        cosine[i], sine[i] = math.cos(place[i]), math.sin(place[i])
+        out[i] = first[i] * (cosine[i] * load[1] - sine[i] * load[0])
+        for j in range(i):
+            matrix[i, j] = second[i, j] * (cosine[i] * cosine[j] + sine[i] * sine[j])
+            across = second[i, j] * (sine[i] * cosine[j] - cosine[i] * sine[j])
+            out[i] -= across * speed[j]**2
+            out[j] += across * speed[i]**2
+        matrix[i, i] = second[i, i]
+    for i in range(count - 1):
+        moment = springs[i] * (place[i + 1] - place[i])
+        out[i] += moment
+        out[i + 1] -= moment
+    out[0] += load[2]
+    if held:
+        for i in range(1, count):
+            out[i] -= matrix[i, 0] * turned
+            matrix[i, 0] = 0.0
+        matrix[0, 0], out[0] = 1.0, turned
+    # L D L^T of the symmetric matrix, with 1 / D on its diagonal.
+    for j in range(count):
         for k in range(j):
             factor = matrix[j, k] * matrix[k, k]
-            for i in range(j, size):
+            out[j] -= factor * out[k]
+            for i in range(j, count):
                 matrix[i, j] -= matrix[i, k] * factor
-        for i in range(j + 1, size):
-            matrix[i, j] /= matrix[j, j]
-    for i in range(size):
-        for k in range(i):
-            vector[i] -= matrix[i, k] * vector[k]
-    for i in range(size):
-        vector[i] /= matrix[i, i]
-    for i in range(size - 1, -1, -1):
-        for k in range(i + 1, size):
-            vector[i] -= matrix[k, i] * vector[k]
+        matrix[j, j] = 1.0 / matrix[j, j]
+    for j in range(count - 1, -1, -1):
+        for k in range(j + 1, count):
+            out[j] -= matrix[k, j] * out[k]
+        out[j] *= matrix[j, j]
 
 
 @_compiled
-def _accelerations(links, place, speed, load, given, matrix, out):
-    """
-    Write accelerations to `out`, shape (2 + n,).
-
-    `given` has accelerations of x, y and shaft that are prescribed, NaN for others.
-    """
-    total, first, second, stiffness, gravity = links
-    count = len(first)
-    cosine, sine = np.cos(place[2:]), np.sin(place[2:])
-    matrix[0, 0] = matrix[1, 1] = total
-    matrix[1, 0] = 0.0
-    out[0], out[1] = load[0] + total * gravity[0], load[1] + total * gravity[1]
-    for i in range(count):
-        x, y = -first[i] * sine[i], first[i] * cosine[i]
-        matrix[2 + i, 0], matrix[2 + i, 1] = x, y
-        square = speed[2 + i]**2
-        out[0] += y * square
-        out[1] -= x * square
-        force = x * gravity[0] + y * gravity[1]
-        for j in range(count):
-            turned = second[i, j] * (sine[i] * cosine[j] - cosine[i] * sine[j])
-            force -= turned * speed[2 + j]**2 + stiffness[i, j] * place[2 + j]
-            if j <= i:
-                matrix[2 + i, 2 + j] = second[i, j] * (
-                    cosine[i] * cosine[j] + sine[i] * sine[j])
-        out[2 + i] = force
-    out[2] += load[2]
-    for c in range(3):
-        if not math.isnan(given[c]):
-            for i in range(len(out)):
-                out[i] -= matrix[max(i, c), min(i, c)] * given[c]
-                matrix[max(i, c), min(i, c)] = 0.0
-            matrix[c, c], out[c] = 1.0, given[c]
-    _solve(matrix, out)
-
-
-@_compiled
-def _integrate(links, place, speed, loads, given, step, every, samples):
-    """Integrate by the classical Runge-Kutta method."""
-    size, half = len(place), 0.5 * step
-    matrix, (a1, a2, a3, a4) = np.zeros((size, size)), np.zeros((4, size))
+def _integrate(links, place, loads, held, turned, step, every, samples):
+    """Integrate by the classical Runge-Kutta method, from rest."""
+    count = len(links[0])
+    work = np.empty((count, count + 2))
+    speed, q, v, a, moved, gained = np.zeros((6, count))
     for k in range(len(loads)):
-        load, fixed = loads[k], given[k]
-        _accelerations(links, place, speed, load[0], fixed[0], matrix, a1)
-        q, v2 = place + half * speed, speed + half * a1
-        _accelerations(links, q, v2, load[1], fixed[1], matrix, a2)
-        q, v3 = place + half * v2, speed + half * a2
-        _accelerations(links, q, v3, load[1], fixed[1], matrix, a3)
-        q, v4 = place + step * v3, speed + step * a3
-        _accelerations(links, q, v4, load[2], fixed[2], matrix, a4)
-        place += step / 6.0 * (speed + 2.0 * v2 + 2.0 * v3 + v4)
-        speed += step / 6.0 * (a1 + 2.0 * a2 + 2.0 * a3 + a4)
+        q[:], v[:] = place, speed
+        moved[:] = 0.0
+        gained[:] = 0.0
+        for at, weight, ahead in _STAGES:
+            _accelerations(links, q, v, loads[k, at], held, turned[k, at], work, a)
+            for i in range(count):
+                moved[i] += weight * v[i]
+                gained[i] += weight * a[i]
+                q[i] = place[i] + ahead * step * v[i]
+                v[i] = speed[i] + ahead * step * a[i]
+        for i in range(count):
+            place[i] += step / 6.0 * moved[i]
+            speed[i] += step / 6.0 * gained[i]
         if (k + 1) % every == 0:
             samples[(k + 1) // every - 1] = place
 
 
-def rigid_links(scene, links, step, duration, every, drive=None, identified=True):
-    """Simulate a scene by `chain_of` it; arguments and result are those of `rivals.chain`."""
-    chain, count = chain_of(scene, links, identified=identified), round(duration / step)
-    loads = np.ascontiguousarray(scene.load.stages(0, count, step)[:, :, _CHANNELS])
-    given = np.full((count, 3, 3), np.nan)
-    given[:, :, [axis for axis in (0, 1) if axis not in scene.constraints.free_axes]] = 0.0
+def rigid_links(scene, links, step, duration, every, drive=None, gauss=True, matched=None):
+    """
+    Simulate a scene by `chain_of` it; arguments and result are those of `rivals.chain`.
+
+    The carrier must be free along both axes or held, else ValueError.
+    """
+    chain, count = chain_of(scene, links, gauss, matched), round(duration / step)
+    loads = np.ascontiguousarray(scene.load.stages(0, count, step)[:, _WHEN][:, :, _CHANNELS])
+    second, free = chain.second, len(scene.constraints.free_axes)
+    if free == 1:
+        raise ValueError("carrier.held must be 'none' or 'both'")
+    pull = loads[:, :, :2] / chain.total
+    if free:  # as seen by who falls with the centre of mass
+        second = second - np.outer(chain.first, chain.first) / chain.total
+    loads[:, :, :2] = -pull if free else scene.values['gravity']
+    turned = np.zeros((count, 3))
     if drive:
-        given[:, :, 2] = [[drive[2]((k + part) * step) for part in (0.0, 0.5, 1.0)]
-                          for k in range(count)]
-    elif scene.values['motor.shaft'] == 'locked':
-        given[:, :, 2] = 0.0
-    size = 2 + len(chain.lengths)
-    place = np.append([0.0, 0.0], np.full(size - 2, scene.values['initial.shaft']))
-    constants = (chain.total, chain.first, chain.second, chain.stiffness,
-                 np.array(scene.values['gravity'], dtype=float))
-    samples = np.empty((count // every, size))
-    _integrate(constants, place.copy(), np.zeros(size), loads[:1], given[:1], step, 1,
+        turned[:] = [[drive[2]((k + part) * step) for part in (0.0, 0.5, 1.0)]
+                     for k in range(count)]
+    held = scene.values['motor.shaft'] != 'free'
+    # A tuple has its length in its type, so code is compiled for that number of links.
+    constants = tuple(chain.each), chain.first, second, chain.springs
+    place = np.full(len(chain.lengths), scene.values['initial.shaft'])
+    samples = np.empty((count // every, len(place)))
+    _integrate(constants, place.copy(), loads[:1], held, turned[:1], step, 1,
                samples[:1])  # compiles
     begun = time.process_time()
-    _integrate(constants, place, np.zeros(size), loads, given, step, every, samples)
+    _integrate(constants, place, loads, held, turned, step, every, samples)
     seconds = time.process_time() - begun
-    turned = samples[:, 2:] - samples[:, 2:3]
-    return (seconds, samples[:, 2], samples[:, :2], np.cos(turned) @ chain.lengths,
-            np.sin(turned) @ chain.lengths)
+    bent, carrier = samples - samples[:, :1], np.zeros((len(samples), 2))
+    if free:  # The path of the centre of mass is a sum.
+        begin, middle, end = np.moveaxis(pull + scene.values['gravity'], 1, 0)
+        gained = step / 6.0 * (begin + 4.0 * middle + end)
+        moved = step * (np.cumsum(gained, axis=0) - gained) + step**2 / 6.0 * (
+            begin + 2.0 * middle)
+        start, ahead = (np.stack([np.cos(each), np.sin(each)]) @ chain.first / chain.total
+                        for each in (np.full(len(place), scene.values['initial.shaft']), samples))
+        carrier = np.cumsum(moved, axis=0)[every - 1::every] + start - ahead.T
+    return (seconds, samples[:, 0], carrier, np.cos(bent) @ chain.lengths,
+            np.sin(bent) @ chain.lengths)

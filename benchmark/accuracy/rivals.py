@@ -26,9 +26,12 @@ import math
 import time
 
 import numpy as np
+from numpy.polynomial.legendre import leggauss, legval
+from scipy import optimize
 from scipy.linalg import eigvalsh
 
 from oracles.references import world
+from timo_sim import load_scene
 from timo_sim.model.layout import END, FORCE_X, FORCE_Y, MIDDLE, START, TORQUE
 
 _CHANNELS = [FORCE_X, FORCE_Y, TORQUE]
@@ -83,27 +86,48 @@ class Links:
         return np.sqrt(square[not fixed:])
 
 
-def chain_of(scene, count, lumped=False, identified=True):
+def chain_of(scene, count, gauss=True, matched=None, lumped=False):
     """
-    Return the Links of an arm that is cut into `count` parts.
+    Return the Links of an arm with `count` hinges.
 
-    `identified`: a common factor of the springs gives the chain the first frequency of the arm,
-    which an engineer measures; it is that of 200 parts.
+    Parameters
+    ----------
+    scene : Scene
+    count : int
+    gauss : bool
+        The hinges are at the points of Gauss's quadrature and as compliant as their weights say,
+        so that forces on the end deflect it as they do an arm; else in the middles of equal parts.
+    matched : int, optional
+        How many frequencies are those of the arm, which an engineer measures: factors of the
+        springs, a polynomial along the arm, see to it. 1 for Gauss's points, or if `lumped`,
+        else 2, which had the least errors.
+    lumped : bool
+        As for `Links`.
+
     """
     arm = scene.manipulator.arm
-    part = arm.length / count
-    lengths = [0.5 * part, *[part] * (count - 1), 0.5 * part]
-    links = Links(scene, lengths, np.full(count, arm.section.bending_stiffness / part), lumped)
-    if not identified:
-        return links
-    true = chain_of(scene, 200, identified=False).frequencies()[0]
-    factor = (true / links.frequencies()[0])**2
-    return Links(scene, lengths, factor * links.springs, lumped)
+    points, weights = leggauss(count) if gauss else (
+        (2.0 * np.arange(count) + 1.0) / count - 1.0, np.full(count, 2.0 / count))
+    lengths = 0.5 * arm.length * np.diff([-1.0, *points, 1.0])
+    springs = arm.section.bending_stiffness / (0.5 * arm.length * weights)
+    matched = (1 if gauss or lumped else 2) if matched is None else matched
+
+    def chain(factors):
+        return Links(scene, lengths, springs * (1.0 + legval(points, factors)), lumped)
+
+    if not matched:
+        return chain([0.0])
+    model = load_scene({**scene.values, 'model.formulation': 'exact', 'model.modes': 6}).build()
+    found = np.sort(np.abs(np.linalg.eigvals(model.linear).imag))  # pairs, and 0 of free motion
+    true = found[found > 1e-3][:2 * matched:2]
+    return chain(optimize.root(
+        lambda factors: (chain(factors).frequencies()[:matched] / true)**2 - 1.0,
+        np.zeros(matched), tol=1e-12).x)
 
 
-def longest_step(scene, count, axial_factor=None):
+def longest_step(scene, count, gauss=True, axial_factor=None):
     """Return the longest stable Runge-Kutta step [s] of `chain`, or of `rod` with its factor."""
-    highest = chain_of(scene, count, lumped=axial_factor is not None).frequencies()[-1]
+    highest = chain_of(scene, count, gauss, lumped=axial_factor is not None).frequencies()[-1]
     if axial_factor:
         arm = scene.manipulator.arm
         highest = max(highest, 2.0 * count / arm.length * math.sqrt(
@@ -111,14 +135,14 @@ def longest_step(scene, count, axial_factor=None):
     return 2.8 / highest
 
 
-def chain(scene, links, step, duration, every, drive=None):
+def chain(scene, links, step, duration, every, drive=None, gauss=True):
     """
     Simulate a scene by MuJoCo, as a chain of rigid links whose hinges have springs.
 
     They are those of `chain_of`; hinges know no shear and no stretch. Runge-Kutta steps,
     because the implicit integrators of MuJoCo are of first order and damp.
     """
-    arm = chain_of(scene, links)
+    arm = chain_of(scene, links, gauss)
     seconds, carrier, turn, bent = _roll_out(
         scene, chain_model(arm, step, bool(drive)), step, duration, every, drive)
     turned = np.cumsum(np.column_stack([np.zeros(len(bent)), bent]), axis=1)
@@ -137,7 +161,7 @@ def rod(scene, parts, step, duration, every, drive=None, axial_factor=0.01, inte
     The edges have `axial_factor` times E A in Runge-Kutta steps, in those of the integrator
     'discrete', which is of first order, a constraint in place of it.
     """
-    arm = chain_of(scene, parts, lumped=True)
+    arm = chain_of(scene, parts, gauss=False, lumped=True)
     seconds, carrier, turn, moved = _roll_out(
         scene, rod_model(arm, step, bool(drive), axial_factor, integrator), step, duration, every,
         drive)

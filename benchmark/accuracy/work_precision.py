@@ -13,9 +13,9 @@ Run time against error, with other integrators and other engines, and cold start
 draws the plots, and fills the tables of doc/benchmark.md and README.md; `--quick` prints a small
 selection. Each method searches its grid of settings by itself, the cheapest first, until its
 budget of the solver's CPU time is used or nothing cheaper is left to find. A goal is reached by a
-setting, or by the extrapolation of two, whose error is below it, if that of its next finer
-neighbour is, too. The cheapest of these are timed again, all methods taking turns; a time is the
-least CPU time.
+setting, or by the extrapolation of two or three, whose error is below it, if that of its next
+finer neighbour is, too. The cheapest of these are timed again, all methods taking turns; a time is
+the least CPU time.
 """
 
 from dataclasses import dataclass, field
@@ -36,7 +36,7 @@ import matplotlib.pyplot as plt
 import numpy as np
 
 from benchmark import ROOT
-from benchmark.accuracy.cases import ENGINE, Method, methods_of, Scene, SCENES
+from benchmark.accuracy.cases import ENGINE, LINKS, Method, methods_of, Scene, SCENES
 from benchmark.report import machine, parser
 from benchmark.timing import seconds
 from oracles import elastica
@@ -90,7 +90,7 @@ class Trial:
 
     def load(self):
         """Return the scene; for our code with a body that nothing has been computed for."""
-        if self.method.kind == ENGINE:
+        if self.method.kind in (ENGINE, LINKS):
             return self.scene.resting
         density = self.scene.arm.section.density * (1.0 + 1e-13 * next(_UNUSED))
         return self.scene.load({**self.method.values(self.size, self.step),
@@ -122,7 +122,7 @@ class Search:
     def __init__(self, scene, method, truth):
         self.scene, self.method, self.truth = scene, method, truth
         self.trials = {}   # by index in the grid
-        self.errors = {}   # in w(l) [m], by entry: one index, or two that are extrapolated
+        self.errors = {}   # in w(l) [m], by entry: one index, or two or three extrapolated
 
     def explore(self, budget):
         """Run settings, the cheapest first, until the budget [s] is used or all goals reached."""
@@ -157,34 +157,43 @@ class Search:
                      self.method.steps[index[1]])
 
     def _compare(self, index):
-        # The errors of a new setting, and of its pairs with the others.
-        for other in self.trials:
-            for entry in {(index,), (index, other), (other, index)}:
-                found = self._deflection([self.trials[each] for each in entry])
-                if found is not None:
-                    every = len(self.truth) // len(found)
-                    with np.errstate(all='ignore'):
-                        error = float(np.abs(found - self.truth[every - 1::every]).max())
-                    if error < 1e3:
-                        self.errors[entry] = error
+        # The errors of a new setting, and of its pairs and threes with the others.
+        kin = sorted(each for each in self.trials if each == index
+                     or self._factor(each, index) or self._factor(index, each))
+        for entry in (entry for count in (1, 2, 3) for entry in itertools.combinations(kin, count)
+                      if index in entry):
+            found = self._deflection(entry)
+            if found is not None:
+                every = len(self.truth) // len(found)
+                with np.errstate(all='ignore'):
+                    error = float(np.abs(found - self.truth[every - 1::every]).max())
+                if error < 1e3:
+                    self.errors[entry] = error
 
-    def _deflection(self, trials):
-        # Of a pair: the error of the coarse run is so many times that of the fine one.
-        coarse, fine = trials[0], trials[-1]
-        if len(trials) == 1:
-            return coarse.deflection
-        if coarse is fine or coarse.deflection is None or fine.deflection is None:
+    def _factor(self, coarse, fine):
+        """Return how many times the error of a setting is that of another, None if unknown."""
+        (few, long), (many, short) = (
+            (self.method.sizes[i] - self.method.outside, self.method.steps[j])
+            for i, j in (coarse, fine))
+        factors = [order and ratio**order for order, ratio in zip(
+            self.method.orders, (many / few, long / short)) if ratio != 1.0]
+        known = factors and min(factors) >= 1.1 and max(factors) <= 1.1 * min(factors)
+        return factors[0] if known else None
+
+    def _deflection(self, entry):
+        # Extrapolated to no error: two runs know its first power, three the second one, too.
+        runs = [self.trials[index].deflection for index in entry]
+        factors = [self._factor(*pair) for pair in itertools.combinations(entry, 2)]
+        if any(each is None for each in (*runs, *factors)) or (
+                len(entry) == 3 and factors[1] < 0.9 * factors[0] * factors[2]):
             return None
-        factors, outside = [], self.method.outside
-        for order, (large, small) in zip(self.method.orders, (
-                (fine.size - outside, coarse.size - outside), (coarse.step, fine.step))):
-            if large != small:
-                factors.append(order and (large / small)**order)
-        every = len(fine.deflection) / len(coarse.deflection)
-        if min(factors) < 1.1 or max(factors) > 1.1 * min(factors) or every % 1.0:
+        count = min(map(len, runs))
+        if any(len(run) % count for run in runs):
             return None
-        there = fine.deflection[int(every) - 1::int(every)]
-        return there + (there - coarse.deflection) / (factors[0] - 1.0)
+        errors = 1.0 / np.array([1.0, *factors[:len(entry) - 1]])
+        weights = np.linalg.solve(np.vander(errors, increasing=True).T, np.eye(len(entry))[0])
+        return sum(weight * run[len(run) // count - 1::len(run) // count]
+                   for weight, run in zip(weights, runs))
 
     def reached(self, goal):
         """Return the entries below a goal [m] whose next finer neighbours are, too, by time."""
