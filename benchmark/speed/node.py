@@ -153,7 +153,7 @@ def cpu_rows(turns, seconds):
            '<= 1.15', f'{over_bare:.2f}', over_bare <= 1.15, costs(peers))
     yield ('the same with its error, measured by a finer run', '',
            f'{ratio(node.cpu, bare.cpu):.2f}', None,
-           'the target of 1.15 is withdrawn: the finer run takes five to ten times as long as the '
+           'the target of 1.15 is withdrawn: the finer run takes four to seven times as long as the '
            'steps, and the bare node does neither')
     yield ('CPU over an rclpy timer in a SingleThreadedExecutor', '< 1',
            f'{over_timer:.2f}', over_timer < 1.0, '')
