@@ -396,8 +396,7 @@ class GalerkinModes(StrainModes):
         # a margin for a heavy tip or a strong taper.
         terms = 2 * count + 30
         strains, fine = _operators(tuple(manipulator.arm.breaks.tolist()), terms)[:2]
-        matrix, bend, shear = _strain_matrix(manipulator, terms)
-        _, singular, rows = np.linalg.svd(matrix, full_matrices=False)
+        (_, singular, rows), bend, shear = _strain_modes(manipulator, terms)
         omega = 1.0 / singular[:count]
         scaled = rows[:count].T * omega
         super().__init__(omega, strains, scaled[:len(bend)] * bend[:, np.newaxis],
@@ -433,14 +432,15 @@ def _of_arm(arm, terms):
         [integrate * bend, np.zeros_like(integrate)])
 
 
-def _strain_matrix(manipulator, terms):
-    # Returns G, see `GalerkinModes`, and the factors from scaled to nodal strains of bending and
-    # shear.
+def _strain_modes(manipulator, terms, vectors=True):
+    # Returns the singular value decomposition of G, see `GalerkinModes`, and the factors from
+    # scaled to nodal strains of bending and shear.
     arm = manipulator.arm
     fine = _operators(tuple(arm.breaks.tolist()), terms)[1]
     bend, shear, deflection, rotation = _of_arm(arm, terms)
     mass, inertia = (np.sqrt(values)[:, np.newaxis] for values in manipulator.inertia(fine))
-    return np.concatenate([mass * deflection, inertia * rotation]), bend, shear
+    matrix = np.concatenate([mass * deflection, inertia * rotation])
+    return np.linalg.svd(matrix, full_matrices=False, compute_uv=vectors), bend, shear
 
 
 def frequencies(manipulator: Manipulator, count: int) -> np.ndarray:
@@ -450,8 +450,7 @@ def frequencies(manipulator: Manipulator, count: int) -> np.ndarray:
     With fewer terms than `GalerkinModes` they are within 1e-6 for slender and thick arms with
     0.001 to 1000 times the arm's mass at the tip, which is enough to separate the modes.
     """
-    matrix = _strain_matrix(manipulator, 2 * count + 8)[0]
-    return 1.0 / np.sqrt(np.linalg.eigvalsh(matrix.T @ matrix)[::-1][:count])
+    return 1.0 / _strain_modes(manipulator, 2 * count + 8, vectors=False)[0][:count]
 
 
 class StaticModes(JoinedModes):
