@@ -137,7 +137,7 @@ class Scene:
 
     def vary(self, overrides: Mapping[str, Any]) -> Scene:
         """Return the scene with other values by name, nested or dotted; else ParameterError."""
-        return scene_from(self.values | check(flatten(overrides), 'override'))
+        return scene_from({**self.values, **check(flatten(overrides), 'override')})
 
     def at(self, run: Any, t: float) -> Scene:
         """
