@@ -188,8 +188,8 @@ def export_c(scene: str, settings: tuple[str, ...], output: str, target: str, es
               help='Version of FMI: 2.0 or 3.0.')
 @_settings
 @click.option('--estimate/--no-estimate', default=True, show_default=True, help=(
-    'Advance a finer run beside, for the output estimated_tip_error_m; it takes five to ten '
-    'times as long as the run alone.'))
+    'Advance a finer run beside, for the output estimated_tip_error_m; it takes four to '
+    'seven times as long as the run alone.'))
 @click.option('--target', default='host', show_default=True, metavar='NAME', help=(
     'Processor that runs it: host (this one), x86-64-v2 or x86-64-v3 (many).'))
 def export_fmu(scene: str, output: str, fmi: str, settings: tuple[str, ...], estimate: bool,

@@ -132,18 +132,18 @@ class Packed:
         self.memory = memory[begin:begin + self.groups * self.length]
         self.views = {}
         for field, value, shape, steps in zip(described, values, shapes, strides):
-            vectors = (WIDTH,) if len(steps) > len(shape) else ()
-            view = np.ndarray((self.groups, *shape, *vectors), value.dtype, self.memory,
-                              self.offsets[field.name], (self.length, *steps))
+            offset = self.offsets[field.name]
             if lanes:
+                vectors = (WIDTH,) if len(steps) > len(shape) else ()
+                view = np.ndarray((self.groups, *shape, *vectors), value.dtype, self.memory,
+                                  offset, (self.length, *steps))
                 view[:] = value[:self.groups] if field.whole else np.moveaxis(
                     value.reshape(self.groups, WIDTH, *shape), 1, -1)
-            elif value.shape == shape:
-                view[0] = value
-            else:  # what is padded stays zero
-                given: Any = (0, *map(slice, value.shape))
-                view[given] = value
-            self.views[field.name] = view if lanes else view[0]
+            else:
+                view = np.ndarray(shape, value.dtype, self.memory, offset)
+                # What is padded stays zero.
+                view[... if value.shape == shape else tuple(map(slice, value.shape))] = value
+            self.views[field.name] = view
         self.place = (ctypes.c_char * 0).from_buffer(self.memory.data)
 
     def __getattr__(self, name: str) -> np.ndarray:

@@ -191,7 +191,7 @@ def export_c(scene: SceneLike, folder: Path | str, target: str = 'host', estimat
         'host', this computer's processor; 'x86-64-v2', 'x86-64-v3' or 'aarch64', for Linux.
     estimate : bool
         Whether a finer run is advanced beside, to estimate the error of the tip. It takes
-        five to ten times as long as the run alone.
+        four to seven times as long as the run alone.
     name : str
         First part of all names in C.
 

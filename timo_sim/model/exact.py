@@ -72,10 +72,11 @@ class Exact(Formulation):
         kernel = np.stack([about_centre if axis in self.axes else about_root for axis in range(2)])
 
         # Fields of the coordinates q_i, i = 0 is the shaft (T22), and Xi_ij (T26).
-        rotation = np.column_stack([np.ones_like(nodes), modes.rotation(nodes)])
-        shear = np.column_stack([np.zeros_like(nodes), modes.shear(nodes)])
-        self._stretch = np.column_stack([np.zeros_like(nodes), modes.stretch(nodes)]).T
-        at_points = np.column_stack([np.ones_like(self.points.xi), self.points.rotation.T])
+        one, none = np.ones((len(self.points.xi), 1)), np.zeros((len(nodes), 1))
+        rotation = np.concatenate([one[:len(nodes)], modes.rotation(nodes)], axis=1)
+        shear = np.concatenate([none, modes.shear(nodes)], axis=1)
+        self._stretch = np.concatenate([none, modes.stretch(nodes)], axis=1).T
+        at_points = np.concatenate([one, self.points.rotation.T], axis=1)
         rotary = at_points.T @ (self.point_inertia[:, np.newaxis] * at_points)
         rotary[0, 0] += self.manipulator.shaft_inertia
         damping = np.append(self.manipulator.shaft_friction, 2.0 * self.damping * modes.omega)

@@ -100,9 +100,10 @@ class Formulation(ABC):
         self.damping = np.broadcast_to(np.asarray(damping, dtype=float), (len(self.modes),))
         self.size = 2 * (3 + len(self.modes))
         self.driven = int(constraints.driven)
-        self.axes = np.array(constraints.free_axes, dtype=np.int64)
+        free = constraints.free_axes
+        self.axes = np.array(free, dtype=np.int64)
         # Whether carrier x, carrier y and shaft are held, locked or driven.
-        self.constrained = np.array([*(k not in self.axes for k in (0, 1)), constraints.driven])
+        self.constrained = np.array([*(k not in free for k in (0, 1)), constraints.driven])
         self.held_position = np.array([position or 0.0 for position in constraints.carrier])
         # Three times the axial modes, so that their strains are resolved.
         self.quadrature = Quadrature(manipulator.arm.breaks,
@@ -192,10 +193,10 @@ class Formulation(ABC):
     def magnitude_bound(self) -> float:
         """Largest of the numbers from which an energy is computed."""
         body, points = self.manipulator, self.points
-        arrays = (points.deflection, points.rotation, self.point_mass, self.point_inertia,
-                  self.modes.omega**2, self.gravity, self.modes.shear(points.xi))
-        return np.max([body.base_mass, body.shaft_inertia, body.arm.length,
-                       *(np.abs(array).max(initial=0.0) for array in arrays)])
+        numbers = ([body.base_mass, body.shaft_inertia, body.arm.length], points.deflection,
+                   points.rotation, self.point_mass, self.point_inertia, self.modes.omega**2,
+                   self.gravity, self.modes.shear(points.xi))
+        return np.abs(np.concatenate([np.ravel(each) for each in numbers])).max()
 
     @cached_property
     def section_turn_bound(self) -> np.ndarray:
@@ -253,9 +254,9 @@ class Formulation(ABC):
         xi, nodes = np.asarray(xi, dtype=float), self.quadrature.nodes
         integral, deflection = self.quadrature.integrate_to(xi), self.modes.deflection(xi)
         # The slopes by a turn of the shaft and by the modes, and their exact integrals.
-        slope = np.column_stack([np.ones_like(nodes),
-                                 self.modes.rotation(nodes) + self.modes.shear(nodes)])
-        missing = np.column_stack([xi, deflection]) - integral @ slope
+        slope = np.concatenate([np.ones((len(nodes), 1)),
+                                self.modes.rotation(nodes) + self.modes.shear(nodes)], axis=1)
+        missing = np.concatenate([xi[:, np.newaxis], deflection], axis=1) - integral @ slope
         missing[xi == 0.0] = 0.0  # the root stays where it is, to the last bit
         weights = np.sqrt(self.quadrature.weights)
         share = np.linalg.pinv(weights[:, np.newaxis] * slope) * weights

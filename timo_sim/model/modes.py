@@ -439,7 +439,7 @@ def _strain_modes(manipulator, terms, vectors=True):
     fine = _operators(tuple(arm.breaks.tolist()), terms)[1]
     bend, shear, deflection, rotation = _of_arm(arm, terms)
     mass, inertia = (np.sqrt(values)[:, np.newaxis] for values in manipulator.inertia(fine))
-    matrix = np.vstack([mass * deflection, inertia * rotation])
+    matrix = np.concatenate([mass * deflection, inertia * rotation])
     return np.linalg.svd(matrix, full_matrices=False, compute_uv=vectors), bend, shear
 
 

@@ -30,6 +30,7 @@ GRID = 0.02            # multiple of all steps, time between positions that are 
 HORIZON = 10.0         # sim time that is compared by default [s]
 MAX_STEPS = 200_000   # most steps of a run that is compared
 MARGIN = 2.0           # least ratio of the stated error to the estimate of the choice
+_ENOUGH_COMPARED = 500  # samples at which the tips of two runs are compared, if there are more
 _STILL = 1e-13         # travel of a tip that only round-off moves [arm lengths]
 
 
@@ -44,17 +45,21 @@ def measure_error(run: Run, find_remedy: bool = True) -> Run:
     scene = run.scene
     if not can_refine(scene) or len(run.t) < 2:
         return run
-    finer = (_run_alike(refine(scene, parts), run) for parts in choose_parts(scene))
+    # Tips of a long run are compared at some of its samples, each of which takes a quarter step.
+    samples = len(run.t) - 1
+    seen = _thin(run, max(k for k in range(1, 1 + max(1, samples // _ENOUGH_COMPARED))
+                          if samples % k == 0))
+    finer = (_run_alike(refine(scene, parts), seen) for parts in choose_parts(scene))
     fine = next((each for each in finer if each is not None), None)
     if fine is None:
         return replace(run, warning=run.warning or NO_FINER_RUN)
-    error = _distance(run, fine)
+    error = _distance(seen, fine)
     # The finer run has seen a load that is too fast for the steps of the run. What `newton` leaves
     # out may make a motion unstable that both runs do not leave.
     earlier = (unseen_load(fine.scene) if scene.values['model.formulation'] == 'exact'
                else run.warning)
     large = find_remedy and error > MOST_APART * scene.manipulator.arm.length
-    remedy = _remedy(run, round(scene.step / fine.scene.step), error) if large else None
+    remedy = _remedy(seen, round(scene.step / fine.scene.step), error) if large else None
     return replace(run, stats={**run.stats, 'estimated_tip_error_m': error},
                    warning=earlier or inaccurate(scene, error, remedy))
 
@@ -245,7 +250,7 @@ def resolve(scene: Scene, duration: float, tell: Callable[[str], object] | None 
 
 
 _EVERY = Parameter('sample_every', 1, '', 'steps between samples', low=1)
-_MIN_COMPARED = 200  # samples at which the tips of two runs are compared
+_LEAST_COMPARED = 200  # the same, if there are fewer
 
 
 def simulate(scene: SceneLike, duration: float, sample_every: int = 1,
@@ -265,7 +270,7 @@ def simulate(scene: SceneLike, duration: float, sample_every: int = 1,
         Steps between samples; divides the number of steps.
     estimate : bool
         Whether the error of the tip is measured by a finer run, see `Run.stats`, which takes
-        five to ten times as long.
+        three to five times as long.
 
     Raises
     ------
@@ -298,7 +303,7 @@ def simulate(scene: SceneLike, duration: float, sample_every: int = 1,
             f'sample_every = {sample_every} must divide the number of steps, {steps}')
     parts = 1
     if estimate:  # samples of a short run are closer, so that enough are compared
-        least = -(-_MIN_COMPARED * sample_every // max(1, steps))
+        least = -(-_LEAST_COMPARED * sample_every // max(1, steps))
         parts = next(k for k in range(min(least, sample_every), sample_every + 1)
                      if sample_every % k == 0)
     from tqdm import tqdm  # a node, which chooses a resolution, needs no progress bar

@@ -127,7 +127,7 @@ class Scene:
         """Changes of the load at the tip: step, mass [kg], inertia [kg m2] from then on."""
         return payloads_of(self.values)
 
-    @property
+    @cached_property
     def friction(self) -> np.ndarray:
         """Largest dry friction of carrier x, y [N] and shaft [N m], 0 if not free, (3,)."""
         axis, shaft = (0.0 if self.values[f'{body}.coulomb_speed'] else

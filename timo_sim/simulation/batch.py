@@ -178,7 +178,7 @@ class Batch:
         _check(self.scenes)
         self._models = [scene.build() for scene in self.scenes]
         self._initial = np.array([scene.initial_motion() for scene in self.scenes])
-        self._at_start = self._states_and_tips(self._initial, np.ones(self.n, dtype=bool))
+        self._at_start = self._states_of(self._initial, np.ones(self.n, dtype=bool))
         self._needed = {each.needs: np.array([scene.values[each.needs] for scene in self.scenes])
                         for each in INPUTS if each.needs}
         self._loads = LaneLoads(self.scenes)
@@ -246,17 +246,22 @@ class Batch:
                 f'motion must be finite and of the shape {self._initial.shape} or '
                 f'{self._initial.shape[1:]}, got {motions.shape}')
         motions, lanes = np.broadcast_to(motions, self._initial.shape), self._lanes
-        states, tips = self._at_start if motion is None else self._states_and_tips(motions, chosen)
-        for field, new in ((lanes.state, states), (lanes.motion, motions), (lanes.tip, tips),
-                           (lanes.progress, np.array([[1.0, 0.0]] * self.n))):
-            rows = from_lanes(field, self.n)
+        states = self._at_start if motion is None else self._states_of(motions, chosen)
+        changed = [(field, from_lanes(field, self.n), new) for field, new in (
+            (lanes.state, states), (lanes.progress, np.array([[1.0, 0.0]] * self.n)),
+            (lanes.motion, motions))]
+        for field, rows, new in changed:
             rows[chosen] = new[chosen]
             field[:] = to_lanes(rows)
+        # No step: the tips of the states are set; so are the motions, but without loads.
+        lanes.advance(np.empty(0, dtype=np.int64),
+                      np.empty((lanes.groups, 1, STEP_LOADS, 0, WIDTH)))
+        lanes.motion[:] = to_lanes(changed[-1][1])
         self._origin[chosen] = self.steps
         self._loads.reset(np.flatnonzero(chosen), self.steps)
 
-    def _states_and_tips(self, motions, chosen):
-        states, tips = np.zeros((self.n, len(self._models[0].linear))), np.zeros((self.n, 3))
+    def _states_of(self, motions, chosen):
+        states = np.zeros((self.n, len(self._models[0].linear)))
         rows_of = {}
         for lane in np.flatnonzero(chosen):
             rows_of.setdefault(id(self._models[lane]), []).append(lane)
@@ -264,8 +269,7 @@ class Batch:
             model = self._models[rows[0]]
             # Each is a product of its own, so that no bit of a row depends on the other rows.
             states[rows] = model.state(motions[rows][:, np.newaxis])[:, 0]
-            tips[rows] = model.tips(motions[rows])
-        return states, tips
+        return states
 
     def step(self, *, duration: float | None = None, **commands: Any) -> Motion:
         """

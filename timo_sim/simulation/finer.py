@@ -9,7 +9,7 @@
 """
 Finer runs of a scene, from whose tip the error of a run is measured.
 
-A finer run has three more modes in bending and one more axial mode, `exact` equations, and a step
+A finer run has two more modes in bending and one more axial mode, `exact` equations, and a step
 of half the length, or less where it must resolve more. The distance between the tips of both runs
 is the estimated error: nothing about the motion is assumed, so it also holds where errors grow.
 
@@ -29,7 +29,7 @@ from timo_sim.model.modes import axial_modes
 from timo_sim.scene.scene import Scene, scene_from
 from timo_sim.simulation.warnings import unseen_load
 
-MORE_MODES, MORE_AXIAL, MOST_AXIAL = 3, 1, 3
+MORE_MODES, MORE_AXIAL, MOST_AXIAL = 2, 1, 3
 PARTS = 2, 8, 32  # of a step, from which those of the finer run are chosen
 # A load that is picked up excites modes without end: there the error falls as 1/N.
 _MODES_OF_IMPACT, _MOST_MODES = 4, 40
@@ -43,7 +43,7 @@ def refine(scene: Scene, parts: int, modes: int | None = None, axial: int = MORE
     """
     Return a finer scene, with `parts` steps for each step of the scene.
 
-    It has so many further `modes` in bending, by default three, or three times the present ones
+    It has so many further `modes` in bending, by default two, or three times the present ones
     where loads are picked up, too; and so many further `axial` modes. The first axial mode is
     critically damped if its steps do not resolve it. Its formulation is `exact`, without static
     modes, unless it has the `same_equations`.
