@@ -361,7 +361,6 @@ def read_scene_and_record(
 
 _AT_BOUND = 1e-3  # distance from a bound, in coordinates of the fit, that counts as none
 _MIN_SAMPLES = 10  # samples of a part whose errors are worth a number
-_MORE_MODES = 2  # of the finer run that shows the numerical error
 _ANTICORRELATED = -0.5  # correlation below which a sign may be the other one
 _MIN_R_SQUARED = 0.5  # R^2 below which an output is not predicted
 _NUMERICAL_RESIDUAL = 1e-9  # 1 - R^2 below which only numerical errors are left
@@ -419,9 +418,8 @@ def _find_doubts(problem, scene, estimates, errors, values, run, predicted):
     if run is None:
         return
     # Coordinates of static modes have no meaning in other modes.
-    more_modes = _MORE_MODES if can_refine(scene) else 0
     try:
-        finer = refine(scene, 2, more_modes, 0, same_equations=True)
+        finer = refine(scene, 2, None if can_refine(scene) else 0, 0, same_equations=True)
         again = problem.predictions(problem.run(values, scene=finer), values)
     except (DivergenceError, ParameterError) as error:
         yield f'the numerical error is not known: {error}'
