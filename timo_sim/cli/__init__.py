@@ -98,11 +98,12 @@ _node = click.option('--node', metavar='NAME', help='Full name of the node, if a
 @click.argument('scene')
 @_settings
 @click.option('--input', 'cause', default='torque_N_m', show_default=True, metavar='NAME',
-              help='Input of the model: force_x_N, force_y_N, torque_N_m, tip_force_x_N, '
-                   'tip_force_y_N, tip_torque_N_m, push_x_N, push_y_N.')
+              help='Input of the model: force_x_N, force_y_N, torque_N_m, voltage_V (of a DC '
+                   'motor), tip_force_x_N, tip_force_y_N, tip_torque_N_m, push_x_N, push_y_N.')
 @click.option('--response', 'effects', multiple=True, metavar='NAME', show_default=True,
               default=['shaft_rad', 'tip_transverse_m', 'root_strain'],
-              help='Output of the model, such as tip_acceleration_m_per_s2; once for each curve.')
+              help='Output of the model, once for each curve: also tip_angle_rad, gyro_rad_per_s, '
+                   'tip_acceleration_m_per_s2, ...; a wrong name lists them all.')
 @click.option('--output', '-o', 'picture', type=click.Path(dir_okay=False), default='bode.png',
               show_default=True, help='Picture to write: PNG, PDF or SVG.')
 def bode(scene: str, settings: tuple[str, ...], cause: str, effects: tuple[str, ...],

@@ -55,6 +55,14 @@ def with_unit(name: str, unit: str) -> str:
     return f'{name}_{unit}'.replace(' ', '_').replace('/', '_per_') if unit else name
 
 
+def without_unit(column: str) -> tuple[str, str]:
+    """Return name and unit of a column: ('speed', 'rad/s') of `speed_rad_per_s`."""
+    for unit in 'rad/s', 'm/s2', 'm/s', 'N m', 'rad', 'm', 'N', 'V':
+        if column.endswith(end := with_unit('', unit)):
+            return column.removesuffix(end), unit
+    return column, ''
+
+
 _FORCE = 'carrier.force_limit', 'carrier.force_rate_limit'
 # The columns of a load, in this order. Arm axes turn with the shaft. The angle, speed and
 # acceleration are those of a driven shaft. The equations see only the torque of a voltage.
@@ -136,9 +144,12 @@ class MotionFields:
 
 @dataclass(frozen=True)
 class Motion(MotionFields):
-    """One motion or many, with names for the parts, see `MotionFields`."""
+    """One motion or many, with names for the parts, see `MotionFields`; also an array of them."""
 
     values: np.ndarray
+
+    def __array__(self, dtype: Any = None, copy: Any = None) -> np.ndarray:
+        return np.array(self.values, dtype=dtype)
 
 
 def rotate(theta: Any, x: Any, y: Any) -> tuple[Any, Any]:

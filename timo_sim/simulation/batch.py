@@ -231,7 +231,7 @@ class Batch:
         ----------
         mask : array_like of bool, shape (n,), optional
             Which; by default all.
-        motion : array_like, shape (2 (3 + N),) or (n, 2 (3 + N)), optional
+        motion : Motion or array_like, shape (2 (3 + N),) or (n, 2 (3 + N)), optional
             Where to start instead, see `model.layout`.
 
         """

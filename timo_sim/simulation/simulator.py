@@ -318,13 +318,13 @@ class Simulator:
             self.advance(count, commanded)
         return StepDerivatives(found[:, :size], found[:, size:])
 
-    def set_motion(self, motion: ArrayLike) -> None:
+    def set_motion(self, motion: Motion | ArrayLike) -> None:
         """
         Go on from another motion, such as one that was measured or is to be tried.
 
         Parameters
         ----------
-        motion : array_like, shape (2 (3 + N),)
+        motion : Motion or array_like, shape (2 (3 + N),)
             As `Motion.values`. Coordinates that are held, locked or driven keep their own.
 
         Raises

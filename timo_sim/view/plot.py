@@ -20,6 +20,7 @@ from matplotlib.ticker import MultipleLocator
 import numpy as np
 from PIL import Image
 
+from timo_sim.model.layout import without_unit
 from timo_sim.scene.files import whole_file
 from timo_sim.scene.parameters import ParameterError
 from timo_sim.view.track import body_of, Floor, floor_of, FPS, Track
@@ -105,16 +106,23 @@ def bode(model: Any) -> Figure:
     frequency = np.geomspace(ends[0], ends[1], _FREQUENCIES)
     response = model.frequency_response(frequency)
 
-    figure = Figure(figsize=(12, 6), layout='constrained')
-    axes = figure.subplot_mosaic([['size', 'poles'], ['phase', 'poles']], width_ratios=[2, 1])
-    for name, values, colour in zip(model.outputs, response[:, :, 0].T, cycle(COLOURS)):
-        axes['size'].loglog(frequency, np.abs(values), color=colour, label=name)
+    outputs = [without_unit(name) for name in model.outputs]
+    cause, per = without_unit(model.inputs[0])
+    per = f'({per})' if ' ' in per else per
+    units = [*dict.fromkeys(unit for _, unit in outputs)]
+    figure = Figure(figsize=(12, 3.5 + 1.5 * len(units)), layout='constrained')
+    axes = figure.subplot_mosaic([[name, 'poles'] for name in (*units, 'phase')],
+                                 width_ratios=[2, 1])
+    for (name, unit), values, colour in zip(outputs, response[:, :, 0].T, cycle(COLOURS)):
+        axes[unit].loglog(frequency, np.abs(values), color=colour, label=name.replace('_', ' '))
         # Rotated by 1e-3 rad and back, so that round-off does not choose between +-180 degrees.
         phase = np.unwrap(np.angle(values * np.exp(-1e-3j))) + 1e-3
         phase -= 2.0 * np.pi * np.ceil((phase[0] - 0.5 * np.pi) / (2.0 * np.pi))
         axes['phase'].semilogx(frequency, np.degrees(phase), color=colour)
-    axes['size'].set(ylabel=f'output per {model.inputs[0]}')
-    axes['size'].legend(fontsize='small')
+    for unit in units:
+        axes[unit].set(ylabel=f'gain [{unit or 1} / {per}]')
+        axes[unit].legend(fontsize='small')
+    axes[units[0]].set(title=f'response to {cause.replace("_", " ")}')
     axes['phase'].set(xlabel='frequency [Hz]', ylabel='phase [deg]')
     axes['phase'].yaxis.set_major_locator(MultipleLocator(90.0))
     axes['poles'].plot(poles.real, poles.imag / (2.0 * np.pi), 'x', color=COLOURS[0])
