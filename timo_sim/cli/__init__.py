@@ -224,6 +224,45 @@ def info(file: str) -> None:
 
 
 @main.command()
+@click.argument('scene')
+@click.argument('more', nargs=-1, type=float, metavar='[RAD/S]...')
+@_settings
+@click.option('--speed', multiple=True, type=float, metavar='RAD/S [RAD/S]...', help=(
+    'Speeds of a shaft that is turned steadily, with the carrier held: frequencies of the '
+    'clamped arm, and with --png their Campbell diagram.'))
+@click.option('--png', type=click.Path(dir_okay=False), metavar='OUT.png',
+              help='Picture to write: shapes, or frequencies over the speed.')
+def modes(scene: str, more: tuple[float, ...], settings: tuple[str, ...],
+          speed: tuple[float, ...], png: str | None) -> None:
+    r"""
+    Print frequencies and damping ratios of SCENE, a file or a name, about rest or at shaft speeds.
+
+    \b
+        timo_sim modes paper --set arm.damping_ratio=0.01 --png modes.png
+        timo_sim modes spin_up --speed 0 3 6 --png campbell.png
+
+    The error is relative, from a model with three more modes.
+    """
+    from timo_sim.runs.modes import modes
+    from timo_sim.scene.parameters import ParameterError
+    from timo_sim.scene.scene import load_scene
+    if png:
+        from timo_sim.view.plot import write
+    if more and not speed:
+        raise ParameterError(f'speeds follow --speed, got {more[0]:g} without it')
+    built = load_scene(scene, parse_settings(settings))
+    found = modes(built, (*speed, *more) or None)
+    if not speed:
+        click.echo('carrier and shaft as in the scene:')
+    click.echo(found)
+    if not speed and built.modal_count:
+        click.echo(f'clamped arm:\n{modes(built, 0.0)}')
+    if png:
+        write(found.plot(), png)
+        click.echo(f'{png} is drawn')
+
+
+@main.command()
 @click.argument('file', type=click.Path())
 @click.option('--output', '-o', type=click.Path(),
               help="New log; by default beside FILE, a log or a bag's folder, with _recovered "
