@@ -19,7 +19,7 @@ if TYPE_CHECKING:
     from timo_sim.fitting.record import read_record, Record
     from timo_sim.fitting.result import fit, Fit
     from timo_sim.runs.linear import linearize, LinearModel
-    from timo_sim.runs.modes import modes, Vibrations
+    from timo_sim.runs.modes import modes
     from timo_sim.runs.replay import open_log
     from timo_sim.runs.run import Run
     from timo_sim.runs.sensitivities import sensitivities, Sensitivities
@@ -45,7 +45,6 @@ _MODULES = {
     'Scene': 'scene.scene',
     'Sensitivities': 'runs.sensitivities',
     'Simulator': 'simulation.simulator',
-    'Vibrations': 'runs.modes',
     'choose_resolution': 'runs.simulate',
     'export_c': 'export.c',
     'export_fmu': 'export.fmu',
@@ -63,9 +62,9 @@ _MODULES = {
 
 __all__ = [
     'Batch', 'DivergenceError', 'Fit', 'LinearModel', 'ModelWarning', 'ParameterError', 'Record',
-    'Run', 'Scene', 'Sensitivities', 'Simulator', 'Vibrations', '__version__',
-    'choose_resolution', 'export_c', 'export_fmu', 'fit', 'linearize', 'load_scene', 'modes',
-    'open_log', 'project_on_modes', 'read_record', 'sensitivities', 'simulate', 'simulate_many']
+    'Run', 'Scene', 'Sensitivities', 'Simulator', '__version__', 'choose_resolution', 'export_c',
+    'export_fmu', 'fit', 'linearize', 'load_scene', 'modes', 'open_log', 'project_on_modes',
+    'read_record', 'sensitivities', 'simulate', 'simulate_many']
 
 
 def __getattr__(name: str) -> Any:

@@ -34,7 +34,7 @@ def draw_spinning(path):
     section = scene.manipulator.arm.section
     unit = np.sqrt(section.bending_stiffness / section.mass_per_length)
     speed = np.linspace(0.0, 12.0, 25)
-    found = timo_sim.modes(scene, unit * speed).omega[:, :3] / unit
+    found = np.array([timo_sim.modes(scene, unit * each).omega[:3] for each in speed]) / unit
     at = speed[1::2]
     truth = np.array([spinning(scene, unit * each, 3) / unit for each in at])
     figure, panels = plt.subplots(1, 3, figsize=(11, 3.4), layout='constrained')

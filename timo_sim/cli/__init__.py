@@ -228,10 +228,9 @@ def info(file: str) -> None:
 @click.argument('more', nargs=-1, type=float, metavar='[RAD/S]...')
 @_settings
 @click.option('--speed', multiple=True, type=float, metavar='RAD/S [RAD/S]...', help=(
-    'Speeds of a shaft that is turned steadily, with the carrier held: frequencies of the '
-    'clamped arm, and with --png their Campbell diagram.'))
+    'Speeds at which the shaft is turned steadily, with the carrier held.'))
 @click.option('--png', type=click.Path(dir_okay=False), metavar='OUT.png',
-              help='Picture to write: shapes, or frequencies over the speed.')
+              help='Picture to write: shapes; with --speed the Campbell diagram.')
 def modes(scene: str, more: tuple[float, ...], settings: tuple[str, ...],
           speed: tuple[float, ...], png: str | None) -> None:
     r"""
@@ -244,21 +243,16 @@ def modes(scene: str, more: tuple[float, ...], settings: tuple[str, ...],
     The error is relative, from a model with three more modes.
     """
     from timo_sim.runs.modes import modes
-    from timo_sim.scene.parameters import ParameterError
     from timo_sim.scene.scene import load_scene
     if png:
-        from timo_sim.view.plot import write
-    if more and not speed:
-        raise ParameterError(f'speeds follow --speed, got {more[0]:g} without it')
-    built = load_scene(scene, parse_settings(settings))
-    found = modes(built, (*speed, *more) or None)
-    if not speed:
-        click.echo('carrier and shaft as in the scene:')
-    click.echo(found)
-    if not speed and built.modal_count:
-        click.echo(f'clamped arm:\n{modes(built, 0.0)}')
+        from timo_sim.view.plot import campbell, write
+    built, speeds = load_scene(scene, parse_settings(settings)), (*speed, *more)
+    found = {each: modes(built, each) for each in speeds or (None, 0.0)}
+    names = {None: 'carrier and shaft as in the scene', 0.0: 'clamped arm'}
+    for each, vibrations in found.items():
+        click.echo(f'{names.get(each, f"shaft at {each} rad/s")}:\n{vibrations}')
     if png:
-        write(found.plot(), png)
+        write(campbell(found) if speeds else found[None].plot(), png)
         click.echo(f'{png} is drawn')
 
 

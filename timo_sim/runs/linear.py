@@ -236,21 +236,10 @@ def linearize(scene: SceneLike, at: np.ndarray | None = None) -> LinearModel:
 def state_matrix(model: Formulation, at: np.ndarray,
                  load: np.ndarray) -> tuple[np.ndarray, np.ndarray, np.ndarray]:
     """
-    Return `A` of `x' = A x` about a motion in which no state of the model changes.
+    Return A of `x' = A x` about a motion, (2 (3 + N),), in which no state of the model changes.
 
-    Parameters
-    ----------
-    model : Formulation
-    at : ndarray, shape (2 (3 + N),)
-    load : ndarray, shape (LOADS,)
-
-    Returns
-    -------
-    a, to_state : ndarray, shape (m, m)
-        A, and derivatives of the formulation's state by `x`, free coordinates and their rates.
-    places : ndarray of int, shape (m,)
-        Where `x` is in a motion.
-
+    `x` are the free coordinates and their rates. Also returns the derivatives of the state by
+    them, and their places in a motion; shapes (m, m), (m, m), (m,).
     """
     free = np.array([*model.axes, *range(2 + model.driven, model.size // 2)], dtype=int)
     places = np.concatenate([free, model.size // 2 + free])

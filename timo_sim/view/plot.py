@@ -8,7 +8,7 @@
 
 """Figures of runs, linear models and vibrations, and animations as GIF."""
 
-from collections.abc import Sequence
+from collections.abc import Mapping, Sequence
 from itertools import cycle
 from pathlib import Path
 from typing import Any
@@ -137,49 +137,42 @@ def bode(model: Any) -> Figure:
 
 
 _MOST_SHAPES, _AMPLITUDE = 6, 0.15  # drawn; largest displacement in arm lengths
-_MULTIPLES = 1, 2, 3, 4  # of the shaft speed in a Campbell diagram
 
 
 def shapes(vibrations: Any) -> Figure:
     """Return a Figure: the first shapes of Vibrations in the axes of the shaft, exaggerated."""
-    model, count = vibrations.scene.build(), min(len(vibrations.poles), _MOST_SHAPES)
+    model, count = vibrations.model, min(len(vibrations.poles), _MOST_SHAPES)
     xi = np.linspace(0.0, model.manipulator.arm.length, _POINTS)
-    rest = model.centre_line(vibrations.motion[3:model.size // 2], model.at(xi))
-    moved = _AMPLITUDE * xi[-1] * vibrations.shapes(xi).real
-    columns, rows = min(3, max(count, 1)), max(1, -(-count // 3))
+    rest = model.centre_line(vibrations.motion.q, model.at(xi))
+    rows, columns = max(1, -(-count // 3)), min(3, max(count, 1))
     figure = Figure(figsize=(4 * columns, 1 + 1.5 * rows), layout='constrained')
     panels = figure.subplots(rows, columns, sharex=True, sharey=True, squeeze=False).ravel()
-    for axes in panels[count:]:
-        axes.set_axis_off()
-    for number, axes in enumerate(panels[:count]):
+    for axes, moved, frequency, damping in zip(
+            panels, vibrations.shapes(xi).real, vibrations.frequency, vibrations.damping):
         axes.plot(*rest.T, '--', color=_GREY, linewidth=1.0)
-        for sign, colour in (-1.0, COLOURS[5]), (1.0, COLOURS[0]):
-            line = rest + sign * moved[number]
+        for size, colour in (-_AMPLITUDE, COLOURS[5]), (_AMPLITUDE, COLOURS[0]):
+            line = rest + size * xi[-1] * moved
             axes.plot(*line.T, color=colour, marker='.', markevery=4, markersize=4)
             axes.plot(*line[0], 's', color='0.3', markersize=4)
-        axes.set(title=f'{number + 1}: {vibrations.frequency[number]:.4g} Hz, damping '
-                 f'{vibrations.damping[number].round(12) + 0.0:.2g}', aspect='equal')
+        axes.set(title=f'{frequency:.4g} Hz, damping {damping:.2g}', aspect='equal')
         axes.grid(alpha=0.3)
+    for axes in panels[count:]:
+        axes.set_axis_off()
     figure.supxlabel('along the shaft [m]', fontsize='medium')
     figure.supylabel('across [m]', fontsize='medium')
     return figure
 
 
-def campbell(vibrations: Any) -> Figure:
-    """Return a Figure: frequencies of Vibrations over the speed, and its multiples, dashed."""
-    order = np.argsort(vibrations.speed)
-    speed, frequency = vibrations.speed[order], vibrations.frequency[order]
+def campbell(found: Mapping[float, Any]) -> Figure:
+    """Return a Figure: frequencies of Vibrations by speed [rad/s], and multiples of the speed."""
     figure = Figure(figsize=(7, 5), layout='constrained')
     axes = figure.subplots()
-    axes.plot(speed, frequency, color=COLOURS[0], marker='.')
-    axes.set(xlim=(speed[0], speed[-1]), ylim=(0.0, None), xlabel='shaft speed [rad/s]',
-             ylabel='frequency [Hz]')
-    for multiple in _MULTIPLES:
-        axes.axline((0.0, 0.0), slope=multiple / (2.0 * np.pi), color=_GREY, linestyle='--',
-                    linewidth=1.0)
-        axes.annotate(f'{multiple}x', (speed[-1], multiple * speed[-1] / (2.0 * np.pi)),
-                      xytext=(4, 0), textcoords='offset points', color=_GREY, va='center',
-                      annotation_clip=True)
+    for speed, each in found.items():
+        axes.plot([speed] * len(each.poles), each.frequency, 'o', color=COLOURS[0], markersize=4)
+    axes.set(ylim=(0.0, None), xlabel='shaft speed [rad/s]', ylabel='frequency [Hz]',
+             title='dashed: 1, 2, 3, 4 times the speed')
+    for multiple in range(1, 5):
+        axes.axline((0.0, 0.0), slope=multiple / (2.0 * np.pi), color=_GREY, linestyle='--')
     axes.grid(alpha=0.3)
     return figure
 
