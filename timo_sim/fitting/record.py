@@ -48,11 +48,11 @@ class Output(NamedTuple):
 
 
 def _tip(run, axis):
-    return run.deflection(run.scene.manipulator.arm.length)[:, axis]
+    return run.deflection()[:, axis]
 
 
 def _place(run, axis):
-    return run.position(run.scene.manipulator.arm.length)[:, axis]
+    return run.position()[:, axis]
 
 
 # Units of the inputs that a record may have.
@@ -62,7 +62,7 @@ INPUT_UNITS = {**{each.name: each.unit for each in INPUTS if each.argument}, DRI
 OUTPUTS = {
     **{sensor.measured: Output(
         sensor.unit, sensor.meaning,
-        lambda run, read=sensor.of_motion: read(run.model, run.motion))
+        lambda run, read=sensor.of_motion: read(run.model, run.values))
         for sensor in SENSORS if sensor.of_motion},
     'shaft_velocity': Output('rad/s', 'speed of the shaft', lambda run: run.shaft_velocity),
     'carrier_x': Output('m', 'position of the carrier', lambda run: run.carrier[:, 0]),

@@ -21,7 +21,7 @@ from timo_sim.compiled.constants import pack, Packed
 from timo_sim.model.bodies import Constraints, Manipulator, Quadrature
 from timo_sim.model.functions import (
     accelerations_of, efforts, energies, Flow, rate_once, tips)
-from timo_sim.model.layout import LOADS, rotate
+from timo_sim.model.layout import LOADS, Motion, rotate
 from timo_sim.model.modes import axial_modes, JoinedModes, Modes, modes_of
 
 
@@ -403,6 +403,44 @@ class Formulation(ABC):
         turned = np.stack(rotate(motions[..., 2, np.newaxis], first, second), axis=-1)
         return (motions[..., np.newaxis, half:half + 2] + turned,
                 omega + self.section_rotation(qdot, points))
+
+
+class PointsOfArm:
+    """Fields at points of the arm, for classes with a `model` and a `motion`; (n, ...) of many."""
+
+    model: Formulation
+    motion: Motion
+
+    def position(self, xi: ArrayLike | None = None) -> np.ndarray:
+        """
+        Return positions of points of the centre line in world axes, (n, 2) or (n, p, 2) [m].
+
+        `xi`, a float or of shape (p,), is the distance from the root along the undeformed arm [m],
+        by default that of the tip; outside of 0 to the arm's length it is a ValueError.
+        """
+        return self._pick(xi, self.model.world(self.motion.values, self._points(xi)))
+
+    def deflection(self, xi: ArrayLike | None = None) -> np.ndarray:
+        """Return axial and transverse deflection in the arm frame, (n, 2) or (n, p, 2) [m]."""
+        points = self._points(xi)
+        straight = np.column_stack([points.xi, np.zeros_like(points.xi)])
+        return self._pick(xi, self.model.centre_line(self.motion.q, points) - straight)
+
+    def rotation(self, xi: ArrayLike | None = None) -> np.ndarray:
+        """Return the rotation of sections relative to the shaft, (n,) or (n, p) [rad]."""
+        return self._pick(xi, self.model.section_rotation(self.motion.q, self._points(xi)))
+
+    def _points(self, xi):
+        if xi is None:
+            return self.model.tip_point
+        length, xi = self.model.manipulator.arm.length, np.atleast_1d(np.asarray(xi, dtype=float))
+        outside = xi[~((0.0 <= xi) & (xi <= length))]
+        if len(outside):
+            raise ValueError(f'xi must be between 0 and arm.length = {length} m, got {outside[0]}')
+        return self.model.at(xi)
+
+    def _pick(self, xi, values):
+        return values if np.ndim(xi) else np.take(values, 0, axis=self.motion.values.ndim - 1)
 
 
 def clamped_ratios(model: Formulation, ratios: ArrayLike) -> np.ndarray:

@@ -142,11 +142,29 @@ class MotionFields:
         return self.values[..., self._half + 3:]
 
 
-@dataclass(frozen=True)
+# Units of the parts of a motion.
+_PARTS = {'carrier': 'm', 'shaft': 'rad', 'q': 'm sqrt(kg)', 'carrier_velocity': 'm/s',
+          'shaft_velocity': 'rad/s', 'qdot': 'm sqrt(kg)/s'}
+
+
+@dataclass(frozen=True, repr=False)
 class Motion(MotionFields):
-    """One motion or many, with names for the parts, see `MotionFields`; also an array of them."""
+    """
+    One motion or many, with names for the parts, see `MotionFields`.
+
+    `np.asarray` returns its `values`; an index picks of many.
+    """
 
     values: np.ndarray
+
+    def __repr__(self):
+        parts = {name: getattr(self, name) for name in _PARTS}
+        return 'Motion' + ''.join(
+            f'\n  {name:16} {each.shape if self.values.ndim > 1 else each} {_PARTS[name]}'
+            for name, each in parts.items())
+
+    def __getitem__(self, number: Any) -> 'Motion':
+        return Motion(self.values[number, ...])
 
     def __array__(self, dtype: Any = None, copy: Any = None) -> np.ndarray:
         return np.array(self.values, dtype=dtype)

@@ -36,8 +36,7 @@ def plot(run: Any) -> Figure:
     """Return a Figure of a Run: curves over time, and the arm in the plane."""
     length = run.scene.manipulator.arm.length
     curves = {
-        'tip': ('tip deflection [m]', {'axial': run.deflection(length)[:, 0],
-                                       'transverse': run.deflection(length)[:, 1]}),
+        'tip': ('tip deflection [m]', dict(zip(('axial', 'transverse'), run.deflection().T))),
         'shaft': ('shaft angle [rad]', {'theta': run.shaft}),
         'carrier': ('carrier [m]', {'x': run.carrier[:, 0], 'y': run.carrier[:, 1]})}
     held = run.model.constrained
