@@ -43,7 +43,7 @@ def numbers(scene, begin=lambda: None):
     simulator, found = timo_sim.Simulator(scene), [run.values, run.friction_heat]
     for number in range(40):
         simulator.step(tip_force=(0.1 * number, 1.0), duration=0.005)
-        found += [simulator.motion.values, simulator.tip_acceleration(), simulator.effort]
+        found += [simulator.motion.values, simulator.sensors.tip_acceleration, simulator.effort]
     return np.concatenate([np.ravel(each) for each in found]).tobytes()
 
 

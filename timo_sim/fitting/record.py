@@ -47,14 +47,6 @@ class Output(NamedTuple):
     of_run: Callable  # from a Run to the quantity at its samples, shape (n,)
 
 
-def _tip(run, axis):
-    return run.deflection()[:, axis]
-
-
-def _place(run, axis):
-    return run.position()[:, axis]
-
-
 # Units of the inputs that a record may have.
 INPUT_UNITS = {**{each.name: each.unit for each in INPUTS if each.argument}, DRIVE: 'rad'}
 
@@ -67,16 +59,15 @@ OUTPUTS = {
     'shaft_velocity': Output('rad/s', 'speed of the shaft', lambda run: run.shaft_velocity),
     'carrier_x': Output('m', 'position of the carrier', lambda run: run.carrier[:, 0]),
     'carrier_y': Output('m', 'position of the carrier', lambda run: run.carrier[:, 1]),
-    'tip_x': Output('m', 'position of the tip, world axes', lambda run: _place(run, 0)),
-    'tip_y': Output('m', 'position of the tip, world axes', lambda run: _place(run, 1)),
+    'tip_x': Output('m', 'position of the tip, world axes', lambda run: run.position()[:, 0]),
+    'tip_y': Output('m', 'position of the tip, world axes', lambda run: run.position()[:, 1]),
     'tip_transverse': Output('m', 'deflection of the tip across the arm',
-                             lambda run: _tip(run, 1)),
+                             lambda run: run.deflection()[:, 1]),
     'tip_angle': Output('rad', 'direction of the tip as seen from the root, straight arm: 0',
-                        lambda run: np.arctan2(
-                            _tip(run, 1),
-                            run.scene.manipulator.arm.length + _tip(run, 0))),
+                        lambda run: np.arctan2(*(
+                            run.deflection() + [run.model.manipulator.arm.length, 0.0]).T[::-1])),
     'tip_rotation': Output('rad', 'rotation of the end effector relative to the shaft',
-                           lambda run: run.rotation(run.scene.manipulator.arm.length)),
+                           lambda run: run.rotation()),
     'root_strain': Output('', 'strain of the outer fibre at the root',
                           lambda run: run.root_strain()),
     'tip_acceleration': Output('m/s2', 'specific force on the tip across it, as an accelerometer '

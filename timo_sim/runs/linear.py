@@ -176,8 +176,8 @@ def linearize(scene: SceneLike, at: np.ndarray | None = None) -> LinearModel:
     are free coordinates, then their rates. Inputs are forces on carrier, tip and arm in world
     axes, torques on shaft and tip, the voltage at a DC motor; without those that have no effect.
     Outputs are carrier and shaft, tip in world axes, deflection and rotation of the tip, its angle
-    in the world, strain at the root, rates of carrier and shaft, and what an IMU at the tip
-    measures: angular velocity, and specific force along (`..._along_...`) and across the tip.
+    as seen from the root, strain at the root, rates of carrier and shaft, and what an IMU at the
+    tip measures: angular velocity, and specific force along (`..._along_...`) and across the tip.
 
     Parameters
     ----------
@@ -283,13 +283,14 @@ def _outputs(model, motion, load):
     accelerations, at_tip = model.accelerations(motions, model.state(motions), loads)
     joints = Joints(model, motions, accelerations, loads, at_tip)
     q, tip = motions[:, 3:half], model.tip_point
-    rotation, turning = (model.section_rotation(each, tip)[0] for each in (
-        q, motions[:, half + 3:]))
+    along, across = model.centre_line(q, tip)[0, 0]
     return np.concatenate([
-        motion[:3], model.world(motions, tip)[0, 0], model.centre_line(q, tip)[0, 0],
-        rotation, motion[2] + rotation, joints.root_strain, motion[half:half + 3],
+        motion[:3], model.world(motions, tip)[0, 0], [along, across],
+        model.section_rotation(q, tip)[0], [np.arctan2(across, along)],
+        joints.root_strain, motion[half:half + 3],
         *(read(model, motions) for read in _OF_MOTION.values()),
-        motion[half + 2] + turning, joints.tip_acceleration[0]])
+        motion[half + 2] + model.section_rotation(motions[:, half + 3:], tip)[0],
+        joints.tip_acceleration[0]])
 
 
 def _residual(model, at):
@@ -315,8 +316,10 @@ def _residual(model, at):
     across = np.array([-np.sin(angle), np.cos(angle)])
     loads, shifts = np.zeros((2, LOADS)), np.zeros((len(_NAMES), 2))
     loads[0, [TIP_X, TIP_Y]], loads[1, TIP_TORQUE] = across, 1.0
+    along, sideways = model.centre_line(at[3:len(at) // 2], tip)[0]
     shifts[3:7, 0] = *across, *rotate(-at[2], *across)
-    shifts[7:9, 1] = 1.0
+    shifts[8, 0] = (along * shifts[6, 0] - sideways * shifts[5, 0]) / (along**2 + sideways**2)
+    shifts[7, 1] = 1.0
     return shifts @ compliance @ loads
 
 

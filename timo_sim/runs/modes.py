@@ -19,13 +19,13 @@ from numpy.typing import ArrayLike
 
 from timo_sim.extras import optional
 from timo_sim.model.bodies import Constraints
-from timo_sim.model.formulation import Formulation
+from timo_sim.model.formulation import Formulation, PointsOfArm
 from timo_sim.model.layout import ANGLE, LOADS, Motion, rotate, SPEED
 from timo_sim.model.statics import equilibrium
 from timo_sim.runs.linear import state_matrix
 from timo_sim.scene.parameters import Parameter, ParameterError
 from timo_sim.scene.scene import load_scene, SceneLike
-from timo_sim.simulation.finer import refine
+from timo_sim.simulation.finer import MORE_MODES, refine
 
 if TYPE_CHECKING:
     from matplotlib.figure import Figure
@@ -35,23 +35,14 @@ _POINTS = 41  # of the arm, whose largest displacement is that of a shape
 
 
 @dataclass(frozen=True, repr=False)
-class Vibrations:
+class Vibrations(PointsOfArm):
     """
-    The n natural vibrations about rest or steady rotation, by ascending frequency.
+    The n natural vibrations about a motion, which is rest or steady rotation, by frequency.
 
-    Attributes
-    ----------
-    model : Formulation
-    motion : Motion
-        The state about which it vibrates.
-    poles : ndarray of complex, shape (n,)
-        With positive imaginary parts [1/s].
-    vectors : ndarray of complex, shape (n, 3 + N)
-        Carrier, shaft and modal coordinates; the largest displacement of the arm is 1 m.
-    error : ndarray, shape (n,)
-        Estimated relative error of the frequencies: their distance from those of a model with
-        three more modes in bending and, in `exact`, one more axial mode.
-
+    `poles`, (n,) [1/s], have positive imaginary parts. `vectors`, (n, 3 + N), are carrier, shaft
+    and modal coordinates, complex; the largest displacement of the arm is 1 m. `error`, (n,), is
+    the estimated relative error of the frequencies: their distance from those of a model with
+    three more modes in bending and, in `exact`, one more axial mode.
     """
 
     model: Formulation
@@ -77,12 +68,11 @@ class Vibrations:
 
     def shapes(self, xi: ArrayLike) -> np.ndarray:
         """
-        Return displacements of points of the centre line, carrier and shaft included.
+        Return displacements of points of the centre line, with those of carrier and shaft.
 
-        Along and across the shaft, complex, shape (n, p, 2) [m], for distances xi from the root,
-        (p,) [m].
+        Along and across the shaft, complex, (n, p, 2) [m]; xi is as in `Run.position`, (p,) [m].
         """
-        points, found = self.model.at(np.ravel(xi)), []
+        points, found = self._points(np.ravel(xi)), []
         for rates in self.vectors.real, self.vectors.imag:
             motions = np.tile(self.motion.values, (len(rates), 1))
             motions[:, self.model.size // 2:] = rates
@@ -109,17 +99,11 @@ def modes(scene: SceneLike, speed: float | None = None) -> Vibrations:
     """
     Return the natural vibrations of a scene about rest, or of its arm at a speed of the shaft.
 
-    Without a speed, carrier and shaft are free or held as in the scene. It is at rest: with
-    `initial.equilibrium` where the scene starts, under its loads of t = 0, otherwise where it
+    Without a speed [rad/s], carrier and shaft are free or held as in the scene. It is at rest:
+    with `initial.equilibrium` where the scene starts, under its loads of t = 0, otherwise where it
     comes to rest under gravity. With a speed, the carrier is held and the shaft turns at exactly
     this speed: the vibrations are those of the clamped arm in the axes of the shaft, about its
-    steady rotation. Dry friction is left out.
-
-    Parameters
-    ----------
-    scene : Scene, or what `load_scene` takes
-    speed : float, optional
-        [rad/s]; 0: the clamped arm at rest, at the angle of the shaft with which the scene starts.
+    steady rotation, or at speed 0 at the scene's initial angle. Dry friction is left out.
 
     Raises
     ------
@@ -132,8 +116,8 @@ def modes(scene: SceneLike, speed: float | None = None) -> Vibrations:
     >>> import timo_sim
     >>> timo_sim.modes('paper').frequency.round(2)
     array([ 4.27,  9.96, 30.59])
-    >>> [timo_sim.modes('spin_up', speed).frequency[0].round(3) for speed in (0.0, 6.0)]
-    [np.float64(0.604), np.float64(0.719)]
+    >>> timo_sim.modes('spin_up', 6.0).frequency.round(2)
+    array([ 0.72,  4.4 , 11.28])
 
     """
     scene = load_scene(scene)
@@ -141,18 +125,17 @@ def modes(scene: SceneLike, speed: float | None = None) -> Vibrations:
     exact = scene.values['model.formulation'] == 'exact'
     if scene.values['initial.equilibrium']:
         load = scene.load_at_start()
-    load[ANGLE], load[SPEED] = start[2], 0.0
+    load[ANGLE], load[SPEED] = start[2], _SPEED.check(speed or 0.0)
     if speed is not None:
-        load[SPEED] = _SPEED.check(speed)
         constraints = Constraints(tuple(start[:2].tolist()), driven=True)
-        if load[SPEED] and (not exact or any(scene.values['gravity'])):
-            raise ParameterError(
-                'vibrations at a shaft speed need model.formulation = exact, since others lack '
-                'centrifugal stiffening, and gravity = [0, 0], since it turns in the axes of the '
-                f'arm; got {scene.values["model.formulation"]}, {list(scene.values["gravity"])}')
+    if load[SPEED] and (not exact or any(scene.values['gravity'])):
+        raise ParameterError(
+            'vibrations at a shaft speed need model.formulation = exact, since others lack '
+            'centrifugal stiffening, and gravity = [0, 0], since it turns in the axes of the '
+            f'arm; got {scene.values["model.formulation"]}, {list(scene.values["gravity"])}')
     model, finer = (replace(each, constraints=constraints).build() for each in (
         refine(scene, 1, 0, 0, same_equations=True),
-        refine(scene, 1, axial=int(exact), same_equations=True)))
+        refine(scene, 1, MORE_MODES, int(exact), same_equations=True)))
     motion, poles, vectors = _about(model, start, load)
     fine = np.abs(_about(finer, start, load)[1])
     error = np.abs(fine / np.abs(poles)[:, np.newaxis] - 1.0).min(axis=1, initial=np.inf)

@@ -151,10 +151,6 @@ class Simulator(PointsOfArm):
         return Snapshot(self.scene, self.model, self.steps, self.nanoseconds, self.motion.values,
                         load, acts)
 
-    def tip_acceleration(self) -> np.ndarray:
-        """Return what an ideal accelerometer at the tip shows, (2,), see `Run.tip_acceleration`."""
-        return np.array(self.snapshot().tip_acceleration)
-
     def reset(self) -> None:
         """Return to the initial motion and the start of the loads; the count of steps goes on."""
         with self._lock:

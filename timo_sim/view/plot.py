@@ -143,9 +143,8 @@ def shapes(vibrations: Any) -> Figure:
     model, count = vibrations.model, min(len(vibrations.poles), _MOST_SHAPES)
     xi = np.linspace(0.0, model.manipulator.arm.length, _POINTS)
     rest = model.centre_line(vibrations.motion.q, model.at(xi))
-    rows, columns = max(1, -(-count // 3)), min(3, max(count, 1))
-    figure = Figure(figsize=(4 * columns, 1 + 1.5 * rows), layout='constrained')
-    panels = figure.subplots(rows, columns, sharex=True, sharey=True, squeeze=False).ravel()
+    figure = Figure(figsize=(6, 1 + 1.5 * max(1, count)), layout='constrained')
+    panels = figure.subplots(max(1, count), sharex=True, sharey=True, squeeze=False)[:, 0]
     for axes, moved, frequency, damping in zip(
             panels, vibrations.shapes(xi).real, vibrations.frequency, vibrations.damping):
         axes.plot(*rest.T, '--', color=_GREY, linewidth=1.0)
@@ -153,12 +152,10 @@ def shapes(vibrations: Any) -> Figure:
             line = rest + size * xi[-1] * moved
             axes.plot(*line.T, color=colour, marker='.', markevery=4, markersize=4)
             axes.plot(*line[0], 's', color='0.3', markersize=4)
-        axes.set(title=f'{frequency:.4g} Hz, damping {damping:.2g}', aspect='equal')
+        axes.set(title=f'{frequency:.4g} Hz, damping {damping:.2g}', aspect='equal',
+                 ylabel='across [m]')
         axes.grid(alpha=0.3)
-    for axes in panels[count:]:
-        axes.set_axis_off()
-    figure.supxlabel('along the shaft [m]', fontsize='medium')
-    figure.supylabel('across [m]', fontsize='medium')
+    panels[-1].set(xlabel='along the shaft [m]')
     return figure
 
 
