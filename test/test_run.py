@@ -115,7 +115,8 @@ def test_a_motion_prints_its_parts_with_units(paper):
     for unit in ('m', 'rad', 'm sqrt(kg)', 'm/s', 'rad/s', 'm sqrt(kg)/s'):
         assert f' {unit}\n' in text + '\n'
     assert 'q                (101, 3) m sqrt(kg)' in repr(run.motion)
-    assert np.array_equal(one, run.values[-1]) and np.array_equal(run.motion[10:20].q, run.q[10:20])
+    assert np.array_equal(one, run.values[-1])
+    assert np.array_equal(run.motion[10:20].q, run.q[10:20])
     with pytest.raises(IndexError):
         run.motion[:, :3]  # no motions, but columns
 

@@ -109,7 +109,7 @@ def test_a_rigid_arm_swings_about_the_angle_at_which_it_hangs():
 
 
 def test_a_heavy_arm_vibrates_about_its_bend():
-    """As the linear model about the same equilibrium; gravity turns with no clamped arm at rest."""
+    """As the linear model about the same equilibrium, with a locked shaft or a speed of 0."""
     scene = timo_sim.load_scene({'gravity': [0.0, -9.81], 'carrier.held': 'both',
                                  'motor.shaft': 'locked', 'arm.height': 0.005,
                                  'initial.shaft': 0.4, 'arm.damping_ratio': [0.01]})

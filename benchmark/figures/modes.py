@@ -53,7 +53,7 @@ def draw_spinning(path):
 def convergence():
     """Return the table of errors of the first two frequencies by the number of modes."""
     rows = []
-    for name, values in ('bare, 1/1000 thin', BARE), ('the paper\'s', {'model.axial_modes': 1}):
+    for name, values in ('bare, 1/1000 thin', BARE), ("the paper's", {'model.axial_modes': 1}):
         scene = timo_sim.load_scene(values)
         first = timo_sim.modes(scene, 0.0).omega[0]
         for share in SPEEDS:
@@ -72,7 +72,8 @@ def main():
     """Draw the pictures and fill the table."""
     parser(__spec__, __doc__).parse_args()
     folder = Path(ROOT, 'doc')
-    timo_sim.modes(timo_sim.load_scene('paper', {'arm.damping_ratio': 0.01})).plot().savefig(folder / 'modes.png', dpi=100)
+    scene = timo_sim.load_scene('paper', {'arm.damping_ratio': 0.01})
+    timo_sim.modes(scene).plot().savefig(folder / 'modes.png', dpi=100)
     draw_spinning(folder / 'spinning.png')
     fill('modes.md', 'convergence', convergence())
 

@@ -119,7 +119,7 @@ def spinning(scene, speed, count, elements=3):
     Displacements u, w along and across the turning shaft and rotation phi vibrate about the arm
     that is stretched by centrifugal forces, e_0 = u_0', by Lagrange's equations with
 
-        T = 1/2 int m ((u' - Omega w)^2 + (w' + Omega (x + u_0 + u))^2) + 1/2 int J (phi' + Omega)^2
+        T = 1/2 int m ((u' - Omega w)^2 + (w' + Omega (x + u_0 + u))^2) + J (phi' + Omega)^2
         U = 1/2 int E A e^2 + kappa G A gamma^2 + E I phi_x^2
         e = (1 + e_0 + u_x) cos phi + w_x sin phi - 1
         gamma = w_x cos phi - (1 + e_0 + u_x) sin phi

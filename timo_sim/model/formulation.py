@@ -21,7 +21,7 @@ from timo_sim.compiled.constants import pack, Packed
 from timo_sim.model.bodies import Constraints, Manipulator, Quadrature
 from timo_sim.model.functions import (
     accelerations_of, efforts, energies, Flow, rate_once, tips)
-from timo_sim.model.layout import LOADS, Motion, rotate
+from timo_sim.model.layout import LOADS, rotate
 from timo_sim.model.modes import axial_modes, JoinedModes, Modes, modes_of
 
 
@@ -408,10 +408,7 @@ class Formulation(ABC):
 class PointsOfArm:
     """Fields at points of the arm, for classes with a `model` and a `motion`; (n, ...) of many."""
 
-    model: Formulation
-    motion: Motion
-
-    def position(self, xi: ArrayLike | None = None) -> np.ndarray:
+    def position(self: Any, xi: ArrayLike | None = None) -> np.ndarray:
         """
         Return positions of points of the centre line in world axes, (n, 2) or (n, p, 2) [m].
 
@@ -420,17 +417,17 @@ class PointsOfArm:
         """
         return self._pick(xi, self.model.world(self.motion.values, self._points(xi)))
 
-    def deflection(self, xi: ArrayLike | None = None) -> np.ndarray:
+    def deflection(self: Any, xi: ArrayLike | None = None) -> np.ndarray:
         """Return axial and transverse deflection in the arm frame, (n, 2) or (n, p, 2) [m]."""
         points = self._points(xi)
         straight = np.column_stack([points.xi, np.zeros_like(points.xi)])
         return self._pick(xi, self.model.centre_line(self.motion.q, points) - straight)
 
-    def rotation(self, xi: ArrayLike | None = None) -> np.ndarray:
+    def rotation(self: Any, xi: ArrayLike | None = None) -> np.ndarray:
         """Return the rotation of sections relative to the shaft, (n,) or (n, p) [rad]."""
         return self._pick(xi, self.model.section_rotation(self.motion.q, self._points(xi)))
 
-    def _points(self, xi):
+    def _points(self: Any, xi: ArrayLike | None) -> Points:
         if xi is None:
             return self.model.tip_point
         length, xi = self.model.manipulator.arm.length, np.atleast_1d(np.asarray(xi, dtype=float))
@@ -439,8 +436,9 @@ class PointsOfArm:
             raise ValueError(f'xi must be between 0 and arm.length = {length} m, got {outside[0]}')
         return self.model.at(xi)
 
-    def _pick(self, xi, values):
-        return values if np.ndim(xi) else np.take(values, 0, axis=self.motion.values.ndim - 1)
+    def _pick(self: Any, xi: ArrayLike | None, values: np.ndarray) -> np.ndarray:
+        one = xi is None or np.ndim(xi) == 0
+        return np.take(values, 0, axis=self.motion.values.ndim - 1) if one else values
 
 
 def clamped_ratios(model: Formulation, ratios: ArrayLike) -> np.ndarray:

@@ -236,7 +236,7 @@ def linearize(scene: SceneLike, at: np.ndarray | None = None) -> LinearModel:
 def state_matrix(model: Formulation, at: np.ndarray,
                  load: np.ndarray) -> tuple[np.ndarray, np.ndarray, np.ndarray]:
     """
-    Return A of `x' = A x` about a motion, (2 (3 + N),), in which no state of the model changes.
+    Return A of `x' = A x` (T49) about a motion, (2 (3 + N),), in which no state changes.
 
     `x` are the free coordinates and their rates. Also returns the derivatives of the state by
     them, and their places in a motion; shapes (m, m), (m, m), (m,).

@@ -159,7 +159,7 @@ def shapes(vibrations: Any) -> Figure:
     return figure
 
 
-def campbell(found: Mapping[float, Any]) -> Figure:
+def campbell(found: Mapping[Any, Any]) -> Figure:
     """Return a Figure: frequencies of Vibrations by speed [rad/s], and multiples of the speed."""
     figure = Figure(figsize=(7, 5), layout='constrained')
     axes = figure.subplots()
