@@ -28,7 +28,8 @@ WRIGHT = {0.0: (3.5160, 22.0345, 61.6972), 1.0: (3.6817, 22.1810, 61.8418),
 
 def _shapes(size):
     """Return nodes from -1 to 1, polynomials; values, slopes and weights at Gauss points."""
-    lobatto = np.concatenate([[-1.0], legendre.Legendre.basis(ORDER).deriv().roots(), [1.0]])
+    inner = legendre.Legendre.basis(ORDER).deriv().roots().real
+    lobatto = np.concatenate([[-1.0], inner, [1.0]])
     gauss, weights = legendre.leggauss(ORDER + 2)
     shapes = np.linalg.inv(legendre.legvander(lobatto, ORDER))
     return (lobatto, shapes, legendre.legval(gauss, shapes),
