@@ -24,8 +24,8 @@ export ROS_LOG_DIR ?= $(CURDIR)/run/ros_log
 PIP := pip install --quiet --no-compile --disable-pip-version-check
 METADATA := pyproject.toml setup.py setup.cfg
 
-.PHONY: help sim view test test-lowest test-without-ros graphics gallery picture pages paper benchmark \
-	benchmark-quick benchmark-speed benchmark-speed-quick benchmark-latency benchmark-control \
+.PHONY: help sim view test test-lowest test-without-ros graphics gallery picture modes pages paper \
+	benchmark benchmark-quick benchmark-speed benchmark-speed-quick benchmark-latency benchmark-control \
 	benchmark-fit references real-arm stability stretch stress stress-quick docs clean
 
 help: ## list the targets
@@ -73,6 +73,9 @@ gallery: $(VENV)/.gallery graphics ## draw the runs of doc/gallery.md
 
 picture: $(VENV)/.plot ## draw the pictures of README.md
 	@$(BIN)/python -m benchmark.figures.picture
+
+modes: $(VENV)/.plot ## draw and fill doc/modes.md
+	@$(BIN)/python -m benchmark.figures.modes
 
 paper: $(VENV)/.plot ## fill doc/paper.md
 	@$(BIN)/python -m benchmark.figures.paper

@@ -34,7 +34,7 @@ def look(simulator):
     motion, sensors = simulator.motion, simulator.sensors
     joints = (*motion.carrier, motion.shaft, *motion.carrier_velocity, motion.shaft_velocity)
     return Seen(sensors.encoder, sensors.root_strain, (*joints, *simulator.effort),
-                simulator.deflection)
+                simulator.deflection())
 
 
 def command(simulator, carrier_x=0.0, carrier_y=0.0, shaft=0.0):

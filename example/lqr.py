@@ -58,7 +58,7 @@ class LQR:
         process = np.diag([PROCESS_NOISE**2 * name.endswith('_per_s') for name in model.states])
         p = solve_discrete_are(a.T, c.T, process, noise)
         self.correction = p @ c.T @ np.linalg.inv(c @ p @ c.T + noise)
-        self.expected, self.acting = np.zeros(len(a)), np.zeros(1)
+        self.expected, self.acting = model.state(scene.initial_motion()), np.zeros(1)
 
     def effort(self, t, seen):
         """Return the torque on the shaft [N m] that answers what is seen."""

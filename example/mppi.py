@@ -74,10 +74,10 @@ class MPPI:
         torque = np.clip(self.plan + size * random, -self.limit, self.limit)
         torque[0] = self.plan
         cost = np.sum(np.diff(torque, axis=1)**2, axis=1) / CHANGE**2
-        before = self.batch.tip[:, 1]
+        before = self.batch.deflection()[:, 1]
         for k in range(HORIZON):
             motion = self.batch.step(torque=torque[:, k], duration=HOLD)
-            bend = self.batch.tip[:, 1]
+            bend = self.batch.deflection()[:, 1]
             sway = (bend - before) / HOLD
             left = GOAL[2] - motion.shaft - bend / LENGTH
             wanted = np.sign(left) * np.minimum(np.sqrt(2.0 * self.slowing * np.abs(left)),

@@ -54,13 +54,13 @@ def test_a_simulator_does_what_simulate_does(scene, run):
     simulator = timo_sim.Simulator(scene)
     for _ in range(10):
         motion = simulator.step(duration=0.1)
-    assert np.array_equal(motion.values, run.motion[-1]) and simulator.t == 1.0
+    assert np.array_equal(motion.values, run.values[-1]) and simulator.t == 1.0
     assert np.array_equal(motion.q, run.q[-1]) and motion.shaft == run.shaft[-1]
     assert simulator.sensors.encoder == run.shaft[-1]
     with pytest.raises(AttributeError, match='no sensor .*root_strain'):
         simulator.sensors.rootstrain
     simulator.reset()
-    assert np.array_equal(simulator.motion.values, run.motion[0])
+    assert np.array_equal(simulator.motion.values, run.values[0])
 
 
 BAD_COMMANDS = [
@@ -120,7 +120,7 @@ def test_a_scene_at_a_state_goes_on_from_there():
     whole = timo_sim.simulate(scene, 1.0)
     second = timo_sim.simulate(scene.at(whole, 0.5), 0.5)
     # Rates become momenta and rates again; half a second does not amplify that round-off much.
-    assert np.abs(second.motion - whole.motion[500:]).max() < 1e-11
+    assert np.abs(second.values - whole.values[500:]).max() < 1e-11
     with pytest.raises(timo_sim.ParameterError, match='nearest is 0.5'):
         scene.at(whole, 0.50002)
 
@@ -129,7 +129,7 @@ def test_a_run_is_saved_and_opened(run, tmp_path):
     path = run.save(tmp_path / 'run.mcap')
     assert run.save(tmp_path / 'run.mcap') == tmp_path / 'run_1.mcap'
     again = timo_sim.open_log(path)
-    assert again.motion.tobytes() == run.motion.tobytes()
+    assert again.values.tobytes() == run.values.tobytes()
     assert 'does not say whether there were warnings' in again.message
     assert again.t == pytest.approx(run.t, abs=1e-9) and again.scene == run.scene
     assert np.array_equal(again.effort[1:], run.effort[1:])
@@ -157,7 +157,7 @@ def test_a_divergent_run_is_kept_until_it_diverges():
     with pytest.raises(timo_sim.DivergenceError, match='after t = ') as caught:
         timo_sim.simulate(scene, 100.0, sample_every=2)
     run = caught.value.run
-    assert len(run.t) == len(run.motion) and np.isfinite(run.motion).all()
+    assert len(run.t) == len(run.values) and np.isfinite(run.values).all()
     last = int(re.search(r'\(step (\d+)\)', str(caught.value))[1])
     assert last % 1024 > 1 and run.t[-1] == pytest.approx(0.01 * (last - last % 2))
 
@@ -191,9 +191,9 @@ def test_a_scene_may_be_given_as_load_scene_takes_it(tmp_path):
     scene = timo_sim.load_scene(values)
     assert timo_sim.load_scene(scene) is scene
     assert timo_sim.load_scene(scene, {'arm.length': 1.0}).values['arm.length'] == 1.0
-    wanted = timo_sim.simulate(scene, 0.01).motion.tobytes()
+    wanted = timo_sim.simulate(scene, 0.01).values.tobytes()
     for given in values, str(path), path:
-        assert timo_sim.simulate(given, '0.01').motion.tobytes() == wanted
+        assert timo_sim.simulate(given, '0.01').values.tobytes() == wanted
         assert timo_sim.Simulator(given).scene.values == scene.values
     for call in (lambda: timo_sim.choose_resolution('paper'),
                  lambda: timo_sim.choose_resolution(scene)):

@@ -168,7 +168,7 @@ def test_run_has_the_bits_of_a_simulator(folder, scene):
     assert len(found) == 13
     for k, row in enumerate(found):
         assert [row[name] for name in names] == simulator.motion.values.tolist()
-        assert row['tip_transverse_m'] == pytest.approx(simulator.deflection[1], rel=1e-12)
+        assert row['tip_transverse_m'] == pytest.approx(simulator.deflection()[1], rel=1e-12)
         if k < 12:
             simulator.step(torque=torques[k // 4], duration=interval)
 

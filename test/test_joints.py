@@ -36,7 +36,7 @@ SCENES = {
 def test_energy_is_the_work_of_efforts_minus_losses(values):
     scene = timo_sim.load_scene({'integrator.step': 0.0005, **LOSSES, **values})
     run = timo_sim.simulate(scene, 2.0)
-    done = work(np.rint(run.t * 1e9), run.motion[:, :3],
+    done = work(np.rint(run.t * 1e9), run.values[:, :3],
                 np.column_stack([run.carrier_velocity, run.shaft_velocity]), run.effort)
     left = run.energy() - run.energy()[0] + run.dissipated() - np.append(0.0, np.cumsum(done))
     # Measured: 2e-7, by rules of fourth order at 0.5 ms; drives have two smooth derivatives.
@@ -217,6 +217,6 @@ def test_a_scene_may_change_during_a_run():
         'initial.carrier_x_velocity': at[6], 'initial.carrier_y_velocity': at[7],
         'initial.shaft_velocity': at[8], 'initial.modal_coordinates': q.tolist(),
         'initial.modal_rates': rates.tolist()}), 0.3)
-    assert np.abs(simulator.motion.values - again.motion[-1]).max() < 1e-12
+    assert np.abs(simulator.motion.values - again.values[-1]).max() < 1e-12
     simulator.reset()
     assert np.array_equal(simulator.motion.values, Simulator(first).motion.values)

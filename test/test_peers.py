@@ -26,7 +26,7 @@ DURATION = 0.4
 @pytest.fixture(scope='module')
 def truth():
     scene = timo_sim.load_scene(SCENE, {'integrator.step': 0.0005})
-    return timo_sim.simulate(scene, DURATION).motion[-1]
+    return timo_sim.simulate(scene, DURATION).values[-1]
 
 
 def test_scipy_agrees(truth):

@@ -69,7 +69,7 @@ def test_a_bag_of_commands_gives_the_run_with_these_loads(bag, paper, tmp_path):
     run = timo_sim.simulate(scene, 1.5, sample_every=10)
     assert step.tolist() == list(range(0, 1501, 10))
     # The same loads, added in another order.
-    assert np.abs(motion - run.motion).max() < 1e-12
+    assert np.abs(motion - run.values).max() < 1e-12
     assert 'act after the end' not in text
     # A command at the last step would act only after it.
     for duration, count in ((0.1, 0), (0.4, 1), (0.401, 2)):
@@ -115,7 +115,7 @@ def states_of(torques, last):
     """Return positions and velocities every 10 ms of the default arm with these torques."""
     scene = timo_sim.load_scene({'load.torque.piecewise.time': [time for time, _ in torques],
                                  'load.torque.piecewise.value': [value for _, value in torques]})
-    motion = timo_sim.simulate(scene, last, sample_every=10).motion
+    motion = timo_sim.simulate(scene, last, sample_every=10).values
     half = motion.shape[1] // 2
     return np.hstack([motion[:, :3], motion[:, half:half + 3]])
 
@@ -197,8 +197,8 @@ def log_of(path, scene, torques, last):
     for step in range(last + 1):
         if step % 10 == 0:
             torque = [value for begin, value in torques if begin < step][-1:] or [0.0]
-            half = run.motion.shape[1] // 2
-            numbers = [*run.motion[step, :3], *run.motion[step, half:half + 3], 0.0, 0.0, *torque]
+            half = run.values.shape[1] // 2
+            numbers = [*run.values[step, :3], *run.values[step, half:half + 3], 0.0, 0.0, *torque]
             recorder.write(0, step, step * 1000000, serialize(divmod(step * 1000000, 10**9),
                                                               numbers))
         for value in [value for begin, value in torques if begin == step]:
@@ -305,8 +305,8 @@ def test_an_arm_that_stretches_replays_to_the_last_bit(tmp_path):
     run = timo_sim.simulate(timo_sim.load_scene({
         'model.axial_modes': 1, 'initial.shaft_velocity': 5.0}), 0.1, sample_every=10)
     run.save(tmp_path / 'soft.mcap')
-    assert np.array_equal(Recording(tmp_path / 'soft.mcap').motion()[2], run.motion)
-    assert run.motion.shape == (11, 2 * (3 + 3 + 1))
+    assert np.array_equal(Recording(tmp_path / 'soft.mcap').motion()[2], run.values)
+    assert run.values.shape == (11, 2 * (3 + 3 + 1))
     assert 'same to the last bit' in call('replay', tmp_path / 'soft.mcap')
 
 

@@ -28,11 +28,11 @@ from timo_sim.simulation.energy import work
 def test_rates_are_derivatives_of_the_coordinates(paper):
     run = timo_sim.simulate(timo_sim.load_scene(paper), 1.0)
     h = run.t[1]
-    half = run.motion.shape[1] // 2
-    x = run.motion[:, :half]
+    half = run.values.shape[1] // 2
+    x = run.values[:, :half]
     # Five points: error h^4/30 times the fifth derivative, below 1e-3 x (190 rad/s)^5 in mode 3.
     slope = (x[:-4] - 8 * x[1:-3] + 8 * x[3:-1] - x[4:]) / (12 * h)
-    assert np.abs(slope - run.motion[2:-2, half:]).max() < 1e-5
+    assert np.abs(slope - run.values[2:-2, half:]).max() < 1e-5
 
 
 def test_energy_is_balanced_whatever_the_samples(tmp_path):
@@ -41,7 +41,7 @@ def test_energy_is_balanced_whatever_the_samples(tmp_path):
         'load.torque.harmonic.amplitude': [5.0], 'load.torque.harmonic.frequency': [1.5],
         'initial.modal_rates': [0.0, 1.0, 0.3, 0.0, 0.0]})
     dense = timo_sim.simulate(scene, 5.0)
-    done = work(np.rint(1e9 * dense.t), dense.motion[:, 2:3],
+    done = work(np.rint(1e9 * dense.t), dense.values[:, 2:3],
                 dense.shaft_velocity[:, np.newaxis], dense.effort[:, 2:])
     done = np.append(0.0, np.cumsum(done))
     thin = timo_sim.simulate(scene, 5.0, sample_every=50)
@@ -80,6 +80,45 @@ def test_xi_must_be_on_the_arm(paper):
         with pytest.raises(ValueError, match=re.escape(
                 f'xi must be between 0 and arm.length = 2.0 m, got {np.ravel(xi)[-1]}')):
             run.position(xi)
+
+
+def test_points_are_spelt_alike_and_are_the_tip_by_default(paper):
+    run, simulator = timo_sim.simulate(paper, 0.5), timo_sim.Simulator(paper)
+    simulator.advance(500)
+    for field in 'position', 'deflection', 'rotation':
+        of_run, now = getattr(run, field), getattr(simulator, field)
+        assert np.array_equal(of_run(), of_run(2.0)) and np.abs(of_run()[-1]).max() > 0.0
+        for xi in (None, 1.3, [0.0, 2.0]):
+            assert now(xi) == pytest.approx(of_run(xi)[-1], abs=1e-15)
+    # The tip's place by hand.
+    turn = np.array([[np.cos(run.shaft), -np.sin(run.shaft)],
+                     [np.sin(run.shaft), np.cos(run.shaft)]])
+    place = run.carrier + np.einsum('ijn,nj->ni', turn, run.deflection() + [2.0, 0.0])
+    assert run.position() == pytest.approx(place, abs=1e-14)
+    # Differences of the world's velocity, in axes of the tip.
+    h, motions = 1e-3, run.model.velocities(run.values, run.model.tip_point)[0][:, 0]
+    rate, angle = (motions[400] - motions[398]) / (2.0 * h), (run.shaft + run.rotation())[399]
+    axes = np.array([[np.cos(angle), np.sin(angle)], [-np.sin(angle), np.cos(angle)]])
+    simulator.reset()
+    simulator.advance(399)
+    seen = simulator.sensors.tip_acceleration
+    assert seen == pytest.approx(axes @ rate, abs=2e-3)
+    assert seen == pytest.approx(run.tip_acceleration()[399], abs=1e-9)
+
+
+def test_a_motion_prints_its_parts_with_units(paper):
+    run = timo_sim.simulate(paper, 0.1)
+    one, text = run.motion[-1], str(run.motion[-1])
+    assert f'shaft            {run.shaft[-1]} rad\n' in text
+    assert [line.split()[0] for line in text.splitlines()[1:]] == [
+        'carrier', 'shaft', 'q', 'carrier_velocity', 'shaft_velocity', 'qdot']
+    for unit in ('m', 'rad', 'm sqrt(kg)', 'm/s', 'rad/s', 'm sqrt(kg)/s'):
+        assert f' {unit}\n' in text + '\n'
+    assert 'q                (101, 3) m sqrt(kg)' in repr(run.motion)
+    assert np.array_equal(one, run.values[-1])
+    assert np.array_equal(run.motion[10:20].q, run.q[10:20])
+    with pytest.raises(IndexError):
+        run.motion[:, :3]  # no motions, but columns
 
 
 REFUSED = [

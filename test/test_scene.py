@@ -149,11 +149,11 @@ def test_the_standing_scene_rests_until_its_torque_ends():
     scene = timo_sim.load_scene('standing')
     run = timo_sim.simulate(scene, 3.0)
     rest = run.t <= 1.0
-    assert np.abs(run.motion[rest] - run.motion[0]).max() < 1e-10
+    assert np.abs(run.values[rest] - run.values[0]).max() < 1e-10
     assert math.degrees(run.shaft[0]) == pytest.approx(-30.0, abs=0.1)
     # The weight turns the shaft as much as the torque, and the falling arm does not come back.
     model = scene.build()
-    place = model.world(run.motion[:1], model.points)[0]
+    place = model.world(run.values[:1], model.points)[0]
     assert 9.81 * model.point_mass @ place[:, 0] == pytest.approx(51.5, abs=1e-6)
     assert math.degrees(run.shaft.min()) < -145.0 and 'no warnings' in run.message
 
@@ -253,7 +253,7 @@ def test_an_accepted_scene_runs(values):
                 run = timo_sim.simulate(scene, 5 * scene.step)
             except timo_sim.DivergenceError:
                 return
-            assert np.isfinite(run.motion).all()
+            assert np.isfinite(run.values).all()
 
 
 @fuzzed
@@ -326,7 +326,7 @@ def test_a_load_of_a_hundred_thousand_pieces_is_read(tmp_path):
     times = np.arange(100000) * 0.001
     scene = timo_sim.load_scene({'load.torque.piecewise.time': times,
                                  'load.torque.piecewise.value': np.ones(len(times))})
-    assert timo_sim.simulate(scene, 0.01).motion[-1, 2] > 0.0
+    assert timo_sim.simulate(scene, 0.01).values[-1, 2] > 0.0
     with pytest.raises(timo_sim.ParameterError, match=r'time\[77777\] = 77.7775 must be'):
         times[77777] += 0.0005
         timo_sim.load_scene({'load.torque.piecewise.time': times,

@@ -199,5 +199,5 @@ def test_no_step_is_computed_at_rest(monkeypatch):
      'motor.drive.speed': [0.0, 0.0], 'motor.drive.acceleration': [0.0, 0.0]}],
     ids=lambda values: next(iter(values)))
 def test_scenes_that_move_now_or_later_are_computed(moving):
-    motion = timo_sim.simulate(timo_sim.load_scene(moving), 1.0).motion
+    motion = timo_sim.simulate(timo_sim.load_scene(moving), 1.0).values
     assert not np.array_equal(motion[0], motion[-1])

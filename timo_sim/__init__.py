@@ -19,6 +19,7 @@ if TYPE_CHECKING:
     from timo_sim.fitting.record import read_record, Record
     from timo_sim.fitting.result import fit, Fit
     from timo_sim.runs.linear import linearize, LinearModel
+    from timo_sim.runs.modes import modes
     from timo_sim.runs.replay import open_log
     from timo_sim.runs.run import Run
     from timo_sim.runs.sensitivities import sensitivities, Sensitivities
@@ -50,6 +51,7 @@ _MODULES = {
     'fit': 'fitting.result',
     'linearize': 'runs.linear',
     'load_scene': 'scene.scene',
+    'modes': 'runs.modes',
     'open_log': 'runs.replay',
     'project_on_modes': 'scene.scene',
     'read_record': 'fitting.record',
@@ -61,8 +63,8 @@ _MODULES = {
 __all__ = [
     'Batch', 'DivergenceError', 'Fit', 'LinearModel', 'ModelWarning', 'ParameterError', 'Record',
     'Run', 'Scene', 'Sensitivities', 'Simulator', '__version__', 'choose_resolution', 'export_c',
-    'export_fmu', 'fit', 'linearize', 'load_scene', 'open_log', 'project_on_modes', 'read_record',
-    'sensitivities', 'simulate', 'simulate_many']
+    'export_fmu', 'fit', 'linearize', 'load_scene', 'modes', 'open_log', 'project_on_modes',
+    'read_record', 'sensitivities', 'simulate', 'simulate_many']
 
 
 def __getattr__(name: str) -> Any:

@@ -220,8 +220,8 @@ class ReachVectorEnv(VectorEnv):
                                + _EFFORT * (actions**2).mean(axis=1))
 
     def _observations(self):
-        motion, tip = self.batch.motion, self.batch.tip
-        bend = np.arctan2(tip[:, 1], tip[:, 0])
+        motion, (along, across) = self.batch.motion, self.batch.deflection().T
+        bend = np.arctan2(across, self._length + along)
         found = [self.goal - motion.shaft - bend, motion.shaft_velocity, bend,
                  (self._bend_rate * motion.qdot).sum(axis=1)]
         if self._moves:

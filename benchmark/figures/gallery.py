@@ -41,7 +41,7 @@ def sheet(title, ratio=1.0):
 def draw_arm(plane, run, sample, colour, alpha=1.0, label=None, body=True):
     """Draw carrier, bent arm and end effector of a sample."""
     length = run.scene.manipulator.arm.length
-    line = run.model.world(run.motion[[sample]], run.model.at(
+    line = run.model.world(run.values[[sample]], run.model.at(
         np.linspace(0.0, length, 41)))[0]
     plane.plot(*line.T, color=colour, alpha=alpha, lw=3, label=label, solid_capstyle='round')
     plane.plot(*line[-1], 'o', color=colour, alpha=alpha, ms=11)

@@ -142,7 +142,7 @@ def test_series_agree_with_another_reader(log, paper):
         for pose in (message.ros_msg.pose for message in found['~/tip_pose'])]
     assert topics['~/tip_deflection'].columns == ('axial_m', 'transverse_m')
     run = timo_sim.simulate(recording.scene, 2.0, sample_every=20)
-    assert np.array_equal(recording.motion()[2], run.motion)
+    assert np.array_equal(recording.motion()[2], run.values)
 
 
 def test_a_bag_has_sim_time_of_headers_and_commands_by_log_time(tmp_path):

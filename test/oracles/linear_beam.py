@@ -7,7 +7,7 @@
 # language governing permissions and limitations under the License.
 
 """
-The straight arm on its carrier by linear finite elements: an oracle for linear models.
+The straight arm on its carrier, and on a shaft that turns, by linear finite elements.
 
 Timoshenko's equations in w and phi, both absolute, by elements of high order (Lagrange polynomials
 at Gauss-Lobatto nodes, exact quadrature): the error of a mesh of the default size is round-off.
@@ -18,6 +18,22 @@ import numpy as np
 from numpy.polynomial import legendre
 
 ELEMENTS, ORDER = 8, 8
+# First three frequencies of a thin spinning arm without a tip and a hub, across the plane of
+# rotation, by its speed, both over sqrt(E I / (rho A l^4)): Wright, Smith, Thresher and Wang, J.
+# Appl. Mech. 49 (1982) 197-202. Within the plane they are sqrt(these^2 - speed^2).
+WRIGHT = {0.0: (3.5160, 22.0345, 61.6972), 1.0: (3.6817, 22.1810, 61.8418),
+          2.0: (4.1373, 22.6149, 62.2732), 3.0: (4.7973, 23.3203, 62.9850),
+          6.0: (7.3604, 26.8091, 66.6840), 12.0: (13.1702, 37.6031, 79.6145)}
+
+
+def _shapes(size):
+    """Return nodes from -1 to 1, polynomials; values, slopes and weights at Gauss points."""
+    inner = legendre.Legendre.basis(ORDER).deriv().roots().real
+    lobatto = np.concatenate([[-1.0], inner, [1.0]])
+    gauss, weights = legendre.leggauss(ORDER + 2)
+    shapes = np.linalg.inv(legendre.legvander(lobatto, ORDER))
+    return (lobatto, shapes, legendre.legval(gauss, shapes),
+            2.0 / size * legendre.legval(gauss, legendre.legder(shapes)), 0.5 * size * weights)
 
 
 class LinearBeam:
@@ -41,13 +57,7 @@ class LinearBeam:
                  elements=ELEMENTS):
         body, arm = scene.manipulator, scene.manipulator.arm
         section, size = arm.section, arm.length / elements
-        inner = legendre.Legendre.basis(ORDER).deriv().roots().real
-        lobatto = np.concatenate([[-1.0], inner, [1.0]])
-        gauss, weights = legendre.leggauss(ORDER + 2)
-        shapes = np.linalg.inv(legendre.legvander(lobatto, ORDER))
-        value = legendre.legval(gauss, shapes)  # of each shape at the Gauss points
-        slope = 2.0 / size * legendre.legval(gauss, legendre.legder(shapes))
-        weights = 0.5 * size * weights
+        _, shapes, value, slope, weights = _shapes(size)
         count = elements * ORDER + 1
         mass, stiffness = np.zeros((2 * count, 2 * count)), np.zeros((2 * count, 2 * count))
         none = np.zeros_like(value)
@@ -101,3 +111,66 @@ class LinearBeam:
                 'tip_acceleration_m_per_s2': s**2 * u[half - 1],
                 'root_strain': self._strain @ u,
                 'carrier_y_force_N': held[0], 'shaft_torque_N_m': held[half]}
+
+
+def spinning(scene, speed, count, elements=3):
+    """
+    Return the lowest frequencies of the arm, clamped to a shaft that turns at a speed, (count,).
+
+    Displacements u, w along and across the turning shaft and rotation phi vibrate about the arm
+    that is stretched by centrifugal forces, e_0 = u_0', by Lagrange's equations with
+
+        T = 1/2 int m ((u' - Omega w)^2 + (w' + Omega (x + u_0 + u))^2) + J (phi' + Omega)^2
+        U = 1/2 int E A e^2 + kappa G A gamma^2 + E I phi_x^2
+        e = (1 + e_0 + u_x) cos phi + w_x sin phi - 1
+        gamma = w_x cos phi - (1 + e_0 + u_x) sin phi
+
+    to second order in u, w and phi, where the dashes of T are rates. [rad/s], for [rad/s].
+    """
+    body, arm = scene.manipulator, scene.manipulator.arm
+    section, size = arm.section, arm.length / elements
+    lobatto, _, value, slope, weights = _shapes(size)
+    n = elements * ORDER + 1
+    line, rotary, rod = (np.zeros((n, n)) for _ in range(3))
+    every = [element * ORDER + np.arange(ORDER + 1) for element in range(elements)]
+    for nodes in every:
+        mass = (value * weights) @ value.T
+        line[np.ix_(nodes, nodes)] += section.mass_per_length * mass
+        rotary[np.ix_(nodes, nodes)] += section.inertia_per_length * mass
+        rod[np.ix_(nodes, nodes)] += section.axial_stiffness * (slope * weights) @ slope.T
+    line[-1, -1] += body.end_effector_mass
+    rotary[-1, -1] += body.end_effector_inertia
+    place = np.empty(n)
+    for number, nodes in enumerate(every):
+        place[nodes] = size * (number + 0.5 + 0.5 * lobatto)
+    steady = np.zeros(n)
+    steady[1:] = np.linalg.solve((rod - speed**2 * line)[1:, 1:], speed**2 * (line @ place)[1:])
+
+    stiffness = np.zeros((3, n, 3, n))
+    stiffness[0, :, 0] = rod
+    for nodes in every:
+        strain = steady[nodes] @ slope
+        tension = section.axial_stiffness * strain
+        at = np.ix_(nodes, nodes)
+        shear = np.stack([slope, -(1.0 + strain) * value])  # gamma per w and per phi
+        for i in (0, 1):
+            for j in (0, 1):
+                stiffness[i + 1, :, j + 1][at] += section.shear_stiffness * (
+                    shear[i] * weights) @ shear[j].T
+        stiffness[2, :, 2][at] += section.bending_stiffness * (slope * weights) @ slope.T - (
+            value * weights * tension * (1.0 + strain)) @ value.T
+        stiffness[1, :, 2][at] += (slope * weights * tension) @ value.T
+        stiffness[2, :, 1][at] += (value * weights * tension) @ slope.T
+    mass, coriolis = np.zeros((3, n, 3, n)), np.zeros((3, n, 3, n))
+    mass[0, :, 0] = mass[1, :, 1] = line
+    mass[2, :, 2] = rotary
+    coriolis[0, :, 1], coriolis[1, :, 0] = -2.0 * speed * line, 2.0 * speed * line
+    stiffness[0, :, 0] -= speed**2 * line
+    stiffness[1, :, 1] -= speed**2 * line
+    mass, coriolis, stiffness = (matrix[:, 1:, :, 1:].reshape(3 * n - 3, 3 * n - 3)
+                                 for matrix in (mass, coriolis, stiffness))
+    # 1 / s is an eigenvalue of a matrix whose largest ones are those of the lowest frequencies.
+    inverse = np.linalg.inv(stiffness)
+    s = 1.0 / np.linalg.eigvals(np.block([[-inverse @ coriolis, -inverse @ mass],
+                                          [np.eye(len(mass)), np.zeros_like(mass)]]))
+    return np.sort(s.imag[s.imag > 0.0])[:count]

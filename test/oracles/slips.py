@@ -82,10 +82,10 @@ def force_balance():
     scene = timo_sim.load_scene(ROOT / 'config' / 'paper.yaml', {
         'model.formulation': 'newton', 'model.modes': 5, 'integrator.step': 0.005})
     run = timo_sim.simulate(scene, 10.0)
-    model, half, worst = run.model, run.motion.shape[1] // 2, np.zeros(2)
+    model, half, worst = run.model, run.values.shape[1] // 2, np.zeros(2)
     loads = scene.load.stages(0, len(run.t), scene.step)[:, 0]
     mass, xi, shape = model.point_mass, model.points.xi, model.points.deflection
-    for motion, load in zip(run.motion, loads):
+    for motion, load in zip(run.values, loads):
         acceleration = model.rate(model.state(motion), load)[half:]
         (x, y, turn), bend = acceleration[:3], acceleration[3:]
         theta, speed = motion[2], motion[half + 2]

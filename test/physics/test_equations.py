@@ -246,7 +246,7 @@ def test_formulation_agrees_with_its_equations(formulation, constraints):
     # The deflection is large, and shear makes a good part of it.
     assert np.abs(run.deflection(2.0)[:, 1]).max() > 0.04
     # The error of ETDRK4 at 0.5 ms is 1e-9, found by halving the step.
-    assert np.abs(run.motion[:, :3 + MODES] - truth).max() < 2e-8
+    assert np.abs(run.values[:, :3 + MODES] - truth).max() < 2e-8
     # Measured: 1.4e-9, mostly by differentiating the sampled motions.
     error = np.abs(run.effort - forces)[:, run.model.constrained].max(initial=0.0)
     assert error <= 5e-9 * np.abs(forces).max()
@@ -265,7 +265,7 @@ def test_an_arm_that_stretches_agrees_with_its_equations(constraints, modes, axi
     axial[:, :modes] = 0.0
     # The stretch is a thousand times the tolerance below.
     assert np.abs(axial @ model.modes.displacement([2.0])[0]).max() > 2e-5
-    assert np.abs(run.motion[:, :model.size // 2] - truth).max() < 2e-8
+    assert np.abs(run.values[:, :model.size // 2] - truth).max() < 2e-8
     error = np.abs(run.effort - forces)[:, run.model.constrained].max(initial=0.0)
     # Measured: 2.2e-7 with one axis held; accelerations of stiff modes are large for their q.
     assert error <= 1e-6 * np.abs(forces).max()

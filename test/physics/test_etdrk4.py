@@ -47,8 +47,8 @@ def test_stiff_and_slow_parts_keep_their_digits():
 
 
 def max_error(run, truth):
-    half = run.motion.shape[1] // 2
-    return np.abs(run.motion[:, :half] - truth.motion[:, :half]).max()
+    half = run.values.shape[1] // 2
+    return np.abs(run.values[:, :half] - truth.values[:, :half]).max()
 
 
 @pytest.mark.parametrize('formulation', ['exact', 'newton'])

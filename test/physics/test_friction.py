@@ -74,7 +74,7 @@ def test_a_sudden_stop_leaves_the_arm_the_right_vibration():
     values = {'motor.coulomb_friction': 3e3, 'initial.shaft_velocity': 1.0}
     stopped = timo_sim.simulate(timo_sim.load_scene({**values, 'integrator.step': 1e-4}), 0.1,
                                 estimate=False)
-    last, half = stopped.motion[-1], stopped.motion.shape[1] // 2
+    last, half = stopped.values[-1], stopped.values.shape[1] // 2
     locked = timo_sim.simulate(timo_sim.load_scene({
         'motor.shaft': 'locked', **dict(zip(
             ('initial.carrier_x', 'initial.carrier_y', 'initial.shaft'), last)), **dict(zip(
@@ -179,7 +179,7 @@ def test_friction_of_shaft_and_carrier_against_another_integrator():
         run = timo_sim.simulate(timo_sim.load_scene(values, {'integrator.step': step}), 1.0,
                                 sample_every=round(0.02 / step), estimate=False)
         # Measured: 7e-7 m or rad at 20 ms, 5e-8 at the others.
-        assert np.abs(run.motion - truth)[:, :3].max() < 2e-6
+        assert np.abs(run.values - truth)[:, :3].max() < 2e-6
 
 
 @pytest.mark.parametrize('formulation', ['exact', 'newton'])
@@ -187,7 +187,7 @@ def test_a_shaft_held_by_friction_is_like_a_locked_one(formulation):
     slew = timo_sim.load_scene({'model.formulation': formulation, 'motor.coulomb_friction': 90.0,
                                 'initial.shaft_velocity': 0.4})
     stopped = timo_sim.simulate(slew, 0.2, estimate=False)
-    last, half = stopped.motion[-1], stopped.motion.shape[1] // 2
+    last, half = stopped.values[-1], stopped.values.shape[1] // 2
     begin = {'initial.carrier_x': last[0], 'initial.carrier_y': last[1], 'initial.shaft': last[2],
              'initial.modal_coordinates': last[3:half], 'initial.carrier_x_velocity': last[half],
              'initial.carrier_y_velocity': last[half + 1], 'initial.shaft_velocity': 0.0,
@@ -254,7 +254,7 @@ def test_the_acceleration_of_the_tip_includes_friction():
                                  'initial.shaft_velocity': 2.0})
     simulator, formulation = Simulator(scene), scene.build()
     motions, _ = simulator.advance(200, sample_every=1)
-    found = simulator.tip_acceleration()
+    found = simulator.snapshot().accelerations[1]
     motions = np.vstack([motions[-2:], simulator.advance(1, sample_every=1)[0][1:]])
     tip = formulation.world(motions, formulation.at([LENGTH]))[:, 0]
     second = (tip[0] - 2.0 * tip[1] + tip[2]) / scene.step**2

@@ -100,10 +100,10 @@ def test_the_energy_lost_in_an_impact_is_that_of_two_bodies():
         scene = timo_sim.load_scene({**PLASTIC, 'gravity': [0.0, 0.0], 'model.modes': modes})
         run = timo_sim.simulate(scene, 0.25, estimate=False)
         velocity, spin = (part[0, 0] for part in run.model.velocities(
-            run.motion[400:401], run.model.tip_point))
+            run.values[400:401], run.model.tip_point))
         lost = 0.5 * (2.0 / 3.0 * velocity @ velocity + 0.05 * 0.1 / 0.15 * spin**2)
         assert run.stats['impact_loss_J'] == pytest.approx(lost, rel=1e-6)
-        motions = run.motion[400:402]
+        motions = run.values[400:402]
         after = scene.build(scene.manipulator, (3.0, 0.15)).energy(motions[1:])[0]
         torque = 60.0 * (motions[1, 2] - motions[0, 2])  # its work in the step of the impact
         excess.append(scene.build().energy(motions[:1])[0] + torque - after - lost)
@@ -189,7 +189,7 @@ def test_of_two_samples_at_the_step_of_a_reset_the_second_is_from_after_it():
 
 def test_a_state_after_a_change_is_not_taken_for_one_before():
     run = timo_sim.simulate({**FREE, **PICKED}, 0.6, sample_every=100, estimate=False)
-    assert run.scene.at(run, 0.3).initial_motion() == pytest.approx(run.motion[3])
+    assert run.scene.at(run, 0.3).initial_motion() == pytest.approx(run.values[3])
     with pytest.raises(timo_sim.ParameterError, match='it changes at 0.3 s'):
         run.scene.at(run, 0.4)
 
@@ -206,7 +206,7 @@ def test_energy_is_balanced_between_impacts(values):
         'load.torque.harmonic.amplitude': [0.0 if 'motor.shaft' in values else 5.0]}})
     run = timo_sim.simulate(scene, 0.7, estimate=False)
     energy = run.energy() + run.friction_heat
-    done = work(np.rint(run.t * 1e9), run.motion[:, :3],
+    done = work(np.rint(run.t * 1e9), run.values[:, :3],
                 np.column_stack([run.carrier_velocity, run.shaft_velocity]), run.effort)
     left = np.append(0.0, np.cumsum(done)) - energy
     # From after the impact at 0.2 s, with its own rates, to that at 0.5 s.

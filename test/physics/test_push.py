@@ -69,7 +69,7 @@ def test_at_the_tip_it_is_a_force_on_the_tip(values):
     values = {**MOVING, 'push.position': LENGTH, **values}
     runs = [timo_sim.simulate(timo_sim.load_scene({**values, **pushed(name, x=0.3)}), 0.2,
                               estimate=False) for name in ('push', 'tip_force')]
-    for seen in (lambda run: run.motion, lambda run: run.effort, lambda run: run.root_strain(),
+    for seen in (lambda run: run.values, lambda run: run.effort, lambda run: run.root_strain(),
                  OUTPUTS['root_strain'].of_run):
         ours, theirs = map(seen, runs)
         assert ours == pytest.approx(theirs, abs=1e-9 * np.abs(theirs).max())
@@ -84,7 +84,7 @@ def test_commands_push_as_loads_do_also_in_a_batch():
     values = {**MOVING, 'push.position': PLACE}
     scene = timo_sim.load_scene(values)
     wanted = timo_sim.simulate(timo_sim.load_scene({**values, **pushed('push', x=0.3)}), 0.1,
-                               estimate=False).motion[-1]
+                               estimate=False).values[-1]
     simulator, batch = timo_sim.Simulator(scene), timo_sim.Batch(scene, n=2)
     assert np.array_equal(simulator.step(push=(0.3, FORCE), duration=0.1).values, wanted)
     found = batch.step(push=[(0.3, FORCE), (0.0, 0.0)], duration=0.1).values

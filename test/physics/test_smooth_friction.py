@@ -105,7 +105,7 @@ def test_over_a_large_speed_it_is_viscous():
         'motor.coulomb_friction': 0.7e5, 'motor.coulomb_speed': 1e5,
         'carrier.coulomb_friction': 1.3e5, 'carrier.coulomb_speed': 1e5})
     one, other = (timo_sim.simulate(scene, 2.0, 20, estimate=False) for scene in (viscous, smooth))
-    assert other.motion == pytest.approx(one.motion, abs=1e-9)
+    assert other.values == pytest.approx(one.values, abs=1e-9)
     assert other.dissipated() == pytest.approx(one.dissipated(), abs=1e-7)
 
 

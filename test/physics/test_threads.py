@@ -40,10 +40,10 @@ def numbers(scene, begin=lambda: None):
     """Return what runs show, as bytes: of `simulate`, and of short steps under commands."""
     begin()
     run = timo_sim.simulate(scene, 0.2, estimate=False)
-    simulator, found = timo_sim.Simulator(scene), [run.motion, run.friction_heat]
+    simulator, found = timo_sim.Simulator(scene), [run.values, run.friction_heat]
     for number in range(40):
         simulator.step(tip_force=(0.1 * number, 1.0), duration=0.005)
-        found += [simulator.motion.values, simulator.tip_acceleration(), simulator.effort]
+        found += [simulator.motion.values, simulator.sensors.tip_acceleration, simulator.effort]
     return np.concatenate([np.ravel(each) for each in found]).tobytes()
 
 

@@ -62,8 +62,8 @@ def test_constant_force_gives_momentum_force_times_time(start, client):
     states = {nanoseconds(state): state for state in states}
     states = [states[10**7 * k] for k in range(1, 51)]
     assert [state.effort.tolist() for state in states] == [[4.0, -1.0, 0.0]] * 50
-    assert np.array_equal([state.position for state in states], run.motion[1:, :3])
-    assert np.array_equal([state.velocity for state in states], run.motion[1:, 6:9])
+    assert np.array_equal([state.position for state in states], run.values[1:, :3])
+    assert np.array_equal([state.velocity for state in states], run.values[1:, 6:9])
 
 
 def pace_of(step, factor=1.0, limit=0.1):

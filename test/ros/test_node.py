@@ -251,7 +251,7 @@ def test_steps_and_a_pause_end_with_state_and_clock_and_the_log_is_the_same(
     if watched:  # the states between the marks are those of the run
         run = timo_sim.simulate({'initial.modal_rates': [0.1, 0.0, 0.0]}, 1e-3 * steps[-1])
         for state in received['/joint_states']:
-            assert [*state.position] == run.motion[nanoseconds(state) // 1000000, :3].tolist()
+            assert [*state.position] == run.values[nanoseconds(state) // 1000000, :3].tolist()
 
 
 def test_a_state_is_repeated_only_for_new_subscribers(client):

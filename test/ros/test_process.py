@@ -304,8 +304,8 @@ def test_dropped_time_is_counted_and_the_motion_stays_the_same(start, client, pa
     steps = [nanoseconds(state) // 1000000 for state in states]
     assert np.array_equal(np.diff(steps), [10] * (len(steps) - 1))
     run = timo_sim.simulate(timo_sim.load_scene(paper), 0.01 * np.ceil(0.1 * steps[-1]))
-    assert np.array_equal([state.position for state in states], run.motion[steps, :3])
-    assert np.array_equal([state.velocity for state in states], run.motion[steps, 6:9])
+    assert np.array_equal([state.position for state in states], run.values[steps, :3])
+    assert np.array_equal([state.velocity for state in states], run.values[steps, 6:9])
 
 
 def test_two_nodes_in_one_process(tmp_path):

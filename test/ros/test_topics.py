@@ -60,8 +60,8 @@ def test_topics_carry_the_physics(start, client, paper):
     for joint in joints:
         k = at(joint)
         assert joint.name == ['carrier_x', 'carrier_y', 'shaft']
-        assert np.array_equal(joint.position, run.motion[k, :3])
-        assert np.array_equal(joint.velocity, run.motion[k, 6:9])
+        assert np.array_equal(joint.position, run.values[k, :3])
+        assert np.array_equal(joint.velocity, run.values[k, 6:9])
         assert joint.effort == pytest.approx(
             5 * np.sin(2 * np.pi * np.array([2, 3, 4]) * run.t[k]), abs=1e-12)
     for mode in modes:

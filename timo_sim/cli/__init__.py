@@ -98,11 +98,12 @@ _node = click.option('--node', metavar='NAME', help='Full name of the node, if a
 @click.argument('scene')
 @_settings
 @click.option('--input', 'cause', default='torque_N_m', show_default=True, metavar='NAME',
-              help='Input of the model: force_x_N, force_y_N, torque_N_m, tip_force_x_N, '
-                   'tip_force_y_N, tip_torque_N_m, push_x_N, push_y_N.')
+              help='Input of the model: force_x_N, force_y_N, torque_N_m, voltage_V (of a DC '
+                   'motor), tip_force_x_N, tip_force_y_N, tip_torque_N_m, push_x_N, push_y_N.')
 @click.option('--response', 'effects', multiple=True, metavar='NAME', show_default=True,
               default=['shaft_rad', 'tip_transverse_m', 'root_strain'],
-              help='Output of the model, such as tip_acceleration_m_per_s2; once for each curve.')
+              help='Output of the model, once for each curve: also tip_angle_rad, gyro_rad_per_s, '
+                   'tip_acceleration_m_per_s2, ...; a wrong name lists them all.')
 @click.option('--output', '-o', 'picture', type=click.Path(dir_okay=False), default='bode.png',
               show_default=True, help='Picture to write: PNG, PDF or SVG.')
 def bode(scene: str, settings: tuple[str, ...], cause: str, effects: tuple[str, ...],
@@ -220,6 +221,39 @@ def info(file: str) -> None:
     """
     from timo_sim.log.info import info
     click.echo('\n'.join(info(file)))
+
+
+@main.command()
+@click.argument('scene')
+@click.argument('more', nargs=-1, type=float, metavar='[RAD/S]...')
+@_settings
+@click.option('--speed', multiple=True, type=float, metavar='RAD/S [RAD/S]...', help=(
+    'Speeds at which the shaft is turned steadily, with the carrier held.'))
+@click.option('--png', type=click.Path(dir_okay=False), metavar='OUT.png',
+              help='Picture to write: shapes; with --speed the Campbell diagram.')
+def modes(scene: str, more: tuple[float, ...], settings: tuple[str, ...],
+          speed: tuple[float, ...], png: str | None) -> None:
+    r"""
+    Print frequencies and damping ratios of SCENE, a file or a name, about rest or at shaft speeds.
+
+    \b
+        timo_sim modes paper --set arm.damping_ratio=0.01 --png modes.png
+        timo_sim modes spin_up --speed 0 3 6 --png campbell.png
+
+    The error is relative, from a model with three more modes.
+    """
+    from timo_sim.runs.modes import modes
+    from timo_sim.scene.scene import load_scene
+    if png:
+        from timo_sim.view.plot import campbell, write
+    built, speeds = load_scene(scene, parse_settings(settings)), (*speed, *more)
+    found = {each: modes(built, each) for each in speeds or (None, 0.0)}
+    names = {None: 'carrier and shaft as in the scene', 0.0: 'clamped arm'}
+    for each, vibrations in found.items():
+        click.echo(f'{names.get(each, f"shaft at {each} rad/s")}:\n{vibrations}')
+    if png:
+        write(campbell(found) if speeds else found[None].plot(), png)
+        click.echo(f'{png} is drawn')
 
 
 @main.command()

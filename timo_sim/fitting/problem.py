@@ -147,7 +147,7 @@ def initial_states(problem: Problem, values: Mapping[str, float]) -> list[list[F
         run = error.run
     found = []
     for window in problem.windows:
-        motion = run.motion[min(round(window.begin / run.scene.step), len(run.t) - 1)]
+        motion = run.values[min(round(window.begin / run.scene.step), len(run.t) - 1)]
         half = len(motion) // 2
         guess = dict(zip(('initial.carrier_x', 'initial.carrier_y', 'initial.shaft'), motion))
         guess |= dict(zip((f'{name}_velocity' for name in [*guess]), motion[half:half + 3]))
@@ -714,8 +714,8 @@ class Search:
             run = problem.run(values, 0.0, problem.until, states[0])
         except DivergenceError:
             return found
-        motion = run.motion[:, run.motion.shape[1] // 2:][:, :3]
-        needed = np.abs(np.diag(run.model.mass_matrix(run.motion[0])[0])[:3] * np.sqrt(
+        motion = run.values[:, run.values.shape[1] // 2:][:, :3]
+        needed = np.abs(np.diag(run.model.mass_matrix(run.values[0])[0])[:3] * np.sqrt(
             np.mean(np.gradient(motion, run.t, axis=0)**2, axis=0)))
         free, _ = np.linalg.qr(jacobian)
         left = root * residuals

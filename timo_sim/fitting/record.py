@@ -47,14 +47,6 @@ class Output(NamedTuple):
     of_run: Callable  # from a Run to the quantity at its samples, shape (n,)
 
 
-def _tip(run, axis):
-    return run.deflection(run.scene.manipulator.arm.length)[:, axis]
-
-
-def _place(run, axis):
-    return run.position(run.scene.manipulator.arm.length)[:, axis]
-
-
 # Units of the inputs that a record may have.
 INPUT_UNITS = {**{each.name: each.unit for each in INPUTS if each.argument}, DRIVE: 'rad'}
 
@@ -62,21 +54,20 @@ INPUT_UNITS = {**{each.name: each.unit for each in INPUTS if each.argument}, DRI
 OUTPUTS = {
     **{sensor.measured: Output(
         sensor.unit, sensor.meaning,
-        lambda run, read=sensor.of_motion: read(run.model, run.motion))
+        lambda run, read=sensor.of_motion: read(run.model, run.values))
         for sensor in SENSORS if sensor.of_motion},
     'shaft_velocity': Output('rad/s', 'speed of the shaft', lambda run: run.shaft_velocity),
     'carrier_x': Output('m', 'position of the carrier', lambda run: run.carrier[:, 0]),
     'carrier_y': Output('m', 'position of the carrier', lambda run: run.carrier[:, 1]),
-    'tip_x': Output('m', 'position of the tip, world axes', lambda run: _place(run, 0)),
-    'tip_y': Output('m', 'position of the tip, world axes', lambda run: _place(run, 1)),
+    'tip_x': Output('m', 'position of the tip, world axes', lambda run: run.position()[:, 0]),
+    'tip_y': Output('m', 'position of the tip, world axes', lambda run: run.position()[:, 1]),
     'tip_transverse': Output('m', 'deflection of the tip across the arm',
-                             lambda run: _tip(run, 1)),
+                             lambda run: run.deflection()[:, 1]),
     'tip_angle': Output('rad', 'direction of the tip as seen from the root, straight arm: 0',
-                        lambda run: np.arctan2(
-                            _tip(run, 1),
-                            run.scene.manipulator.arm.length + _tip(run, 0))),
+                        lambda run: np.arctan2(*(
+                            run.deflection() + [run.model.manipulator.arm.length, 0.0]).T[::-1])),
     'tip_rotation': Output('rad', 'rotation of the end effector relative to the shaft',
-                           lambda run: run.rotation(run.scene.manipulator.arm.length)),
+                           lambda run: run.rotation()),
     'root_strain': Output('', 'strain of the outer fibre at the root',
                           lambda run: run.root_strain()),
     'tip_acceleration': Output('m/s2', 'specific force on the tip across it, as an accelerometer '

@@ -406,6 +406,42 @@ class Formulation(ABC):
                 omega + self.section_rotation(qdot, points))
 
 
+class PointsOfArm:
+    """Fields at points of the arm, for classes with a `model` and a `motion`; (n, ...) of many."""
+
+    def position(self: Any, xi: ArrayLike | None = None) -> np.ndarray:
+        """
+        Return positions of points of the centre line in world axes, (n, 2) or (n, p, 2) [m].
+
+        `xi`, a float or of shape (p,), is the distance from the root along the undeformed arm [m],
+        by default that of the tip; outside of 0 to the arm's length it is a ValueError.
+        """
+        return self._pick(xi, self.model.world(self.motion.values, self._points(xi)))
+
+    def deflection(self: Any, xi: ArrayLike | None = None) -> np.ndarray:
+        """Return axial and transverse deflection in the arm frame, (n, 2) or (n, p, 2) [m]."""
+        points = self._points(xi)
+        straight = np.column_stack([points.xi, np.zeros_like(points.xi)])
+        return self._pick(xi, self.model.centre_line(self.motion.q, points) - straight)
+
+    def rotation(self: Any, xi: ArrayLike | None = None) -> np.ndarray:
+        """Return the rotation of sections relative to the shaft, (n,) or (n, p) [rad]."""
+        return self._pick(xi, self.model.section_rotation(self.motion.q, self._points(xi)))
+
+    def _points(self: Any, xi: ArrayLike | None) -> Points:
+        if xi is None:
+            return self.model.tip_point
+        length, xi = self.model.manipulator.arm.length, np.atleast_1d(np.asarray(xi, dtype=float))
+        outside = xi[~((0.0 <= xi) & (xi <= length))]
+        if len(outside):
+            raise ValueError(f'xi must be between 0 and arm.length = {length} m, got {outside[0]}')
+        return self.model.at(xi)
+
+    def _pick(self: Any, xi: ArrayLike | None, values: np.ndarray) -> np.ndarray:
+        one = xi is None or np.ndim(xi) == 0
+        return np.take(values, 0, axis=self.motion.values.ndim - 1) if one else values
+
+
 def clamped_ratios(model: Formulation, ratios: ArrayLike) -> np.ndarray:
     """
     Return the ratios of the clamped modes that give the manipulator's vibrations stated ratios.

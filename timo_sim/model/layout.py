@@ -55,6 +55,14 @@ def with_unit(name: str, unit: str) -> str:
     return f'{name}_{unit}'.replace(' ', '_').replace('/', '_per_') if unit else name
 
 
+def without_unit(column: str) -> tuple[str, str]:
+    """Return name and unit of a column: ('speed', 'rad/s') of `speed_rad_per_s`."""
+    for unit in 'rad/s', 'm/s2', 'm/s', 'N m', 'rad', 'm', 'N', 'V':
+        if column.endswith(end := with_unit('', unit)):
+            return column.removesuffix(end), unit
+    return column, ''
+
+
 _FORCE = 'carrier.force_limit', 'carrier.force_rate_limit'
 # The columns of a load, in this order. Arm axes turn with the shaft. The angle, speed and
 # acceleration are those of a driven shaft. The equations see only the torque of a voltage.
@@ -134,11 +142,32 @@ class MotionFields:
         return self.values[..., self._half + 3:]
 
 
-@dataclass(frozen=True)
+# Units of the parts of a motion.
+_PARTS = {'carrier': 'm', 'shaft': 'rad', 'q': 'm sqrt(kg)', 'carrier_velocity': 'm/s',
+          'shaft_velocity': 'rad/s', 'qdot': 'm sqrt(kg)/s'}
+
+
+@dataclass(frozen=True, repr=False)
 class Motion(MotionFields):
-    """One motion or many, with names for the parts, see `MotionFields`."""
+    """
+    One motion or many, with names for the parts, see `MotionFields`.
+
+    `np.asarray` returns its `values`; an index picks of many.
+    """
 
     values: np.ndarray
+
+    def __repr__(self):
+        parts = {name: getattr(self, name) for name in _PARTS}
+        return 'Motion' + ''.join(
+            f'\n  {name:16} {each.shape if self.values.ndim > 1 else each} {_PARTS[name]}'
+            for name, each in parts.items())
+
+    def __getitem__(self, number: Any) -> 'Motion':
+        return Motion(self.values[number, ...])
+
+    def __array__(self, dtype: Any = None, copy: Any = None) -> np.ndarray:
+        return np.array(self.values, dtype=dtype)
 
 
 def rotate(theta: Any, x: Any, y: Any) -> tuple[Any, Any]:

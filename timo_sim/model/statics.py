@@ -11,6 +11,7 @@
 import numpy as np
 
 from timo_sim.model.formulation import Formulation
+from timo_sim.model.layout import SPEED
 
 _SHIFT = 1e-5             # half-width of differences, as a turn of the most turned section [rad]
 _MAX_TURN = 0.3           # most that a section turns from one iteration to the next [rad]
@@ -24,6 +25,8 @@ _UNBALANCED = 1e-9        # share of all forces that may be left on a free carri
 def equilibrium(model: Formulation, motion: np.ndarray, load: np.ndarray) -> np.ndarray:
     """
     Return a motion at rest in which nothing accelerates, shape (2 (3 + N),).
+
+    A driven shaft turns at the load's speed, with the arm at rest in its axes.
 
     Found by following `u' = M^-1 F(u)` of the forces F on shaft and modes in implicit steps that
     grow (T47), pseudo-transient continuation (C. T. Kelley, D. E. Keyes, SIAM J. Numer. Anal. 35
@@ -39,6 +42,7 @@ def equilibrium(model: Formulation, motion: np.ndarray, load: np.ndarray) -> np.
     forces = _Forces(model, load)
     half, time, found = model.size // 2, None, not len(forces.turn)
     motion = np.concatenate([motion[:half], np.zeros(half)])
+    motion[half + 2] = load[SPEED] if model.driven else 0.0
     for _ in range(_ITERATIONS):
         if found:
             _check_carrier(model, forces.at(motion), load)

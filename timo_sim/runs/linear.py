@@ -15,13 +15,16 @@ from dataclasses import dataclass, replace
 from typing import Any
 
 import numpy as np
+from numpy.typing import ArrayLike
 
 from timo_sim.extras import optional
 from timo_sim.model.bodies import Quadrature
-from timo_sim.model.layout import ANGLE, INPUTS, LOADS, rotate, TIP_TORQUE, TIP_X, TIP_Y
+from timo_sim.model.formulation import Formulation
+from timo_sim.model.layout import (
+    ANGLE, INPUTS, LOADS, Motion, rotate, TIP_TORQUE, TIP_X, TIP_Y, TORQUE, VOLTAGE)
 from timo_sim.scene.loads import CHANNELS
 from timo_sim.scene.parameters import did_you_mean, Parameter, ParameterError
-from timo_sim.scene.scene import load_scene, SceneLike
+from timo_sim.scene.scene import load_scene, motor_constants, SceneLike
 from timo_sim.simulation.snapshot import Joints
 from timo_sim.topics.outputs import SENSORS
 
@@ -38,6 +41,10 @@ class LinearModel:
     A, B, C, D : ndarray, shapes (m, m), (m, u), (y, m), (y, u)
     states, inputs, outputs : tuple of str
         Names with units.
+    equilibrium : ndarray, shape (2 (3 + N),)
+        The motion from which `x` is the deviation.
+    places : ndarray of int, shape (m,)
+        Where the states are in a motion.
     dt : float or None
         Period of a discrete-time model [s], `x+ = A x + B u`; None: continuous time.
 
@@ -57,6 +64,8 @@ class LinearModel:
     states: tuple
     inputs: tuple
     outputs: tuple
+    equilibrium: np.ndarray
+    places: np.ndarray
     dt: float | None = None
 
     def __repr__(self):
@@ -76,6 +85,17 @@ class LinearModel:
         return replace(self, B=self.B[:, u], C=self.C[y], D=self.D[np.ix_(y, u)],
                        inputs=tuple(self.inputs[place] for place in u),
                        outputs=tuple(self.outputs[place] for place in y))
+
+    def state(self, motion: Motion | ArrayLike) -> np.ndarray:
+        """Return the states `x` of motions, shape (..., 2 (3 + N)), shape (..., m)."""
+        return (np.asarray(motion) - self.equilibrium)[..., self.places]
+
+    def to_motion(self, x: ArrayLike) -> Motion:
+        """Return the Motion of states `x`, shape (..., m); other coordinates are at rest."""
+        x = np.asarray(x, dtype=float)
+        values = np.broadcast_to(self.equilibrium, (*x.shape[:-1], len(self.equilibrium))).copy()
+        values[..., self.places] += x
+        return Motion(values)
 
     def state_space(self) -> Any:
         """Return the model as a `scipy.signal.StateSpace`."""
@@ -143,7 +163,7 @@ def _indices(names, chosen, kind):
 # turns most [rad]. The tip's deflection is no measure, since a heavy tip hardly moves.
 _DIFFERENCE = 1e-3
 _STENCIL = ((-2, 1.0 / 12.0), (-1, -2.0 / 3.0), (1, 2.0 / 3.0), (2, -1.0 / 12.0))
-_INPUTS = {INPUTS[column].column: column for column in CHANNELS.values()}
+_INPUTS = [*CHANNELS.values(), VOLTAGE]  # columns of a load
 # Largest rate of a state that counts as an equilibrium [1/s].
 _MAX_RATE = 1e-9
 
@@ -153,16 +173,16 @@ def linearize(scene: SceneLike, at: np.ndarray | None = None) -> LinearModel:
     Return the linear model of a scene about a state of rest, without its dry friction.
 
     Friction that builds up over a speed is viscous about rest: its limit over that speed. States
-    are free coordinates, then their rates. Inputs are forces on carrier and tip in world axes,
-    torques on shaft and tip; without those that have no effect. Outputs are carrier and shaft, tip
-    in world axes, deflection and rotation of the tip, strain at the root, rates of carrier and
-    shaft, acceleration of the tip across the arm, which is that also in gravity, while the sensor
-    of that name measures specific force.
+    are free coordinates, then their rates. Inputs are forces on carrier, tip and arm in world
+    axes, torques on shaft and tip, the voltage at a DC motor; without those that have no effect.
+    Outputs are carrier and shaft, tip in world axes, deflection and rotation of the tip, its angle
+    as seen from the root, strain at the root, rates of carrier and shaft, and what an IMU at the
+    tip measures: angular velocity, and specific force along (`..._along_...`) and across the tip.
 
     Parameters
     ----------
     scene : Scene, or what `load_scene` takes
-    at : ndarray, shape (2 (3 + N),), optional
+    at : Motion or ndarray, shape (2 (3 + N),), optional
         A motion, see `model.layout`; by default the scene's initial one. A shaft that is
         driven or locked stays where it is. The scene's loads of t = 0 act with
         `initial.equilibrium`, otherwise none.
@@ -182,8 +202,8 @@ def linearize(scene: SceneLike, at: np.ndarray | None = None) -> LinearModel:
     """
     scene = load_scene(scene)
     formulation = scene.build()
-    at = scene.initial_motion() if at is None else np.asarray(at, dtype=float)
-    half, axes, driven = formulation.size // 2, list(formulation.axes), formulation.driven
+    at = scene.initial_motion() if at is None else np.array(at, dtype=float)
+    half = formulation.size // 2
     load = scene.load_at_start() if scene.values['initial.equilibrium'] else np.zeros(LOADS)
     load[ANGLE] = at[2]
     state = formulation.state(at)
@@ -194,43 +214,50 @@ def linearize(scene: SceneLike, at: np.ndarray | None = None) -> LinearModel:
             'a scene is linearised about an equilibrium, where nothing moves; got speeds of up to '
             f'{np.abs(moving).max():.3g} and rates of the state of up to {rate.max():.3g}: set '
             'initial.equilibrium, or give another motion as `at`')
-    free = np.array([*axes, *range(2 + driven, half)], dtype=int)
-    free, half = np.concatenate([free, half + free]), len(free)
-    length = formulation.manipulator.arm.length
-    steps = np.tile(_DIFFERENCE * np.concatenate(
-        [[length, length, 1.0], 1.0 / formulation.section_turn_bound]), 2)
-    # Coulomb friction must be linear within the differences of speeds.
-    joints = formulation.size // 2 + np.arange(3)
-    speeds = np.array(formulation.manipulator.coulomb)[[0, 0, 1], 1]
-    steps[joints] = np.minimum(steps[joints], _DIFFERENCE * speeds)
+    a, to_state, places = state_matrix(formulation, at, load)
 
-    def jacobian(function):
-        return _jacobian(function, at, steps, free)
-
-    # x holds coordinates and rates; the formulation integrates state(x).
-    to_state = jacobian(formulation.state)
-    rest = jacobian(lambda motion: formulation.rate(formulation.state(motion), load)
-                    - formulation.linear @ formulation.state(motion))
-    a = np.linalg.solve(to_state, formulation.linear @ to_state + rest)
-
-    # A rate is linear in a load.
-    inputs = {name: formulation.rate(state, load + np.eye(LOADS)[column])
-              - formulation.rate(state, load) for name, column in _INPUTS.items()}
+    # A rate is linear in a load. That of a voltage is the torque of the motor.
+    units = {INPUTS[column].column: np.eye(LOADS)[column] for column in _INPUTS}
+    units[INPUTS[VOLTAGE].column] = np.eye(LOADS)[TORQUE] * motor_constants(scene.values)[0]
+    inputs = {name: formulation.rate(state, load + unit) - formulation.rate(state, load)
+              for name, unit in units.items()}
     inputs = {name: per_load for name, per_load in inputs.items() if per_load.any()}
     b = np.linalg.solve(to_state, np.reshape([*inputs.values()], (len(inputs), len(a))).T)
 
-    columns = [_INPUTS[name] for name in inputs]
     still = _outputs(formulation, at, load)
-    c = jacobian(lambda motion: _outputs(formulation, motion, load))
+    c = _jacobian(formulation, lambda motion: _outputs(formulation, motion, load), at, places)
     # They are linear in a load. What acts at the tip also bends the arm beyond its modes.
-    d = np.stack([_outputs(formulation, at, load + np.eye(LOADS)[column]) - still
-                  for column in columns], axis=-1) + _residual(formulation, at)[:, columns]
-    return LinearModel(a, b, c, d, _state_names(axes, driven, len(formulation.modes)),
-                       tuple(inputs), _NAMES)
+    residual = _residual(formulation, at)
+    d = np.stack([_outputs(formulation, at, load + units[name]) - still + residual @ units[name]
+                  for name in inputs], axis=-1)
+    return LinearModel(a, b, c, d, _state_names(formulation), tuple(inputs), _NAMES, at, places)
 
 
-def _jacobian(function, at, steps, columns):
+def state_matrix(model: Formulation, at: np.ndarray,
+                 load: np.ndarray) -> tuple[np.ndarray, np.ndarray, np.ndarray]:
+    """
+    Return A of `x' = A x` (T49) about a motion, (2 (3 + N),), in which no state changes.
+
+    `x` are the free coordinates and their rates. Also returns the derivatives of the state by
+    them, and their places in a motion; shapes (m, m), (m, m), (m,).
+    """
+    free = np.array([*model.axes, *range(2 + model.driven, model.size // 2)], dtype=int)
+    places = np.concatenate([free, model.size // 2 + free])
+    to_state = _jacobian(model, model.state, at, places)
+    rest = _jacobian(model, lambda motion: model.rate(model.state(motion), load)
+                     - model.linear @ model.state(motion), at, places)
+    return np.linalg.solve(to_state, model.linear @ to_state + rest), to_state, places
+
+
+def _jacobian(model, function, at, columns):
     """Return the derivatives of a function of motions, shape (k, len(columns))."""
+    length = model.manipulator.arm.length
+    steps = np.tile(_DIFFERENCE * np.concatenate(
+        [[length, length, 1.0], 1.0 / model.section_turn_bound]), 2)
+    # Coulomb friction must be linear within the differences of speeds.
+    joints = model.size // 2 + np.arange(3)
+    speeds = np.array(model.manipulator.coulomb)[[0, 0, 1], 1]
+    steps[joints] = np.minimum(steps[joints], _DIFFERENCE * speeds)
     found = []
     for column in columns:
         shift = np.zeros_like(at)
@@ -244,10 +271,10 @@ def _jacobian(function, at, steps, columns):
 _OF_MOTION: dict[str, Any] = {sensor.output: sensor.of_motion for sensor in SENSORS
                               if sensor.of_motion and sensor.output != 'shaft_rad'}
 _NAMES = ('carrier_x_m', 'carrier_y_m', 'shaft_rad', 'tip_x_m', 'tip_y_m',
-          'tip_axial_m', 'tip_transverse_m', 'tip_rotation_rad', 'root_strain',
+          'tip_axial_m', 'tip_transverse_m', 'tip_rotation_rad', 'tip_angle_rad', 'root_strain',
           'carrier_x_velocity_m_per_s', 'carrier_y_velocity_m_per_s',
           'shaft_velocity_rad_per_s', *_OF_MOTION,
-          'tip_acceleration_m_per_s2')
+          'gyro_rad_per_s', 'tip_acceleration_along_m_per_s2', 'tip_acceleration_m_per_s2')
 
 
 def _outputs(model, motion, load):
@@ -256,11 +283,14 @@ def _outputs(model, motion, load):
     accelerations, at_tip = model.accelerations(motions, model.state(motions), loads)
     joints = Joints(model, motions, accelerations, loads, at_tip)
     q, tip = motions[:, 3:half], model.tip_point
+    along, across = model.centre_line(q, tip)[0, 0]
     return np.concatenate([
-        motion[:3], model.world(motions, tip)[0, 0], model.centre_line(q, tip)[0, 0],
-        model.section_rotation(q, tip)[0], joints.root_strain, motion[half:half + 3],
+        motion[:3], model.world(motions, tip)[0, 0], [along, across],
+        model.section_rotation(q, tip)[0], [np.arctan2(across, along)],
+        joints.root_strain, motion[half:half + 3],
         *(read(model, motions) for read in _OF_MOTION.values()),
-        joints.tip_acceleration[:, 1]])
+        motion[half + 2] + model.section_rotation(motions[:, half + 3:], tip)[0],
+        joints.tip_acceleration[0]])
 
 
 def _residual(model, at):
@@ -286,15 +316,17 @@ def _residual(model, at):
     across = np.array([-np.sin(angle), np.cos(angle)])
     loads, shifts = np.zeros((2, LOADS)), np.zeros((len(_NAMES), 2))
     loads[0, [TIP_X, TIP_Y]], loads[1, TIP_TORQUE] = across, 1.0
+    along, sideways = model.centre_line(at[3:len(at) // 2], tip)[0]
     shifts[3:7, 0] = *across, *rotate(-at[2], *across)
+    shifts[8, 0] = (along * shifts[6, 0] - sideways * shifts[5, 0]) / (along**2 + sideways**2)
     shifts[7, 1] = 1.0
     return shifts @ compliance @ loads
 
 
-def _state_names(axes, driven, count):
+def _state_names(model):
     names = [('carrier_x', 'm'), ('carrier_y', 'm')]
-    named = [names[axis] for axis in axes] + [('shaft', 'rad')] * (not driven) + [
-        (f'mode_{n}', 'm_sqrt_kg') for n in range(1, count + 1)]
+    named = [names[axis] for axis in model.axes] + [('shaft', 'rad')] * (not model.driven) + [
+        (f'mode_{n}', 'm_sqrt_kg') for n in range(1, len(model.modes) + 1)]
     return (*(f'{name}_{unit}' for name, unit in named),
             *(f'{name}_rate_{unit}_per_s' if name.startswith('mode') else
               f'{name}_velocity_{unit}_per_s' for name, unit in named))

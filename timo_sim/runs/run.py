@@ -19,11 +19,10 @@ import time
 from typing import Any, TYPE_CHECKING
 
 import numpy as np
-from numpy.typing import ArrayLike
 
 from timo_sim.extras import optional
-from timo_sim.model.formulation import Formulation
-from timo_sim.model.layout import FORCE_X, FORCE_Y, LOADS, MotionFields, TORQUE
+from timo_sim.model.formulation import Formulation, PointsOfArm
+from timo_sim.model.layout import FORCE_X, FORCE_Y, LOADS, Motion, MotionFields, TORQUE
 from timo_sim.scene.parameters import PARAMETERS, warn
 from timo_sim.scene.scene import Scene
 from timo_sim.simulation.energy import integral
@@ -45,7 +44,7 @@ _REPORTED = 1024  # steps from one report to the next
 
 
 @dataclass(frozen=True, repr=False)
-class Run(MotionFields):
+class Run(MotionFields, PointsOfArm):
     """
     A run of n samples with N modes, simulated or read from a log.
 
@@ -91,9 +90,9 @@ class Run(MotionFields):
     payloads: tuple = ()
 
     @property
-    def motion(self) -> np.ndarray:
-        """The same as `values`."""
-        return self.values
+    def motion(self) -> Motion:
+        """The motions, see `Motion`."""
+        return Motion(self.values)
 
     @property
     def message(self) -> str:
@@ -108,28 +107,9 @@ class Run(MotionFields):
     def __repr__(self) -> str:
         return f'<Run: {self.message}; {self.scene!r}>'
 
-    def position(self, xi: ArrayLike) -> np.ndarray:
-        """
-        Return positions of points of the centre line in world axes, (n, 2) or (n, p, 2) [m].
-
-        `xi`, a float or of shape (p,), is the distance from the root along the undeformed arm [m];
-        outside of 0 to its length it is a ValueError.
-        """
-        return self._pick(xi, self.model.world(self.motion, self._at(xi)))
-
-    def deflection(self, xi: ArrayLike) -> np.ndarray:
-        """Return axial and transverse deflection in the arm frame, (n, 2) or (n, p, 2) [m]."""
-        points = self._at(xi)
-        straight = np.column_stack([points.xi, np.zeros_like(points.xi)])
-        return self._pick(xi, self.model.centre_line(self.q, points) - straight)
-
-    def rotation(self, xi: ArrayLike) -> np.ndarray:
-        """Return the rotation of sections relative to the shaft, (n,) or (n, p) [rad]."""
-        return self._pick(xi, self.model.section_rotation(self.q, self._at(xi)))
-
     def energy(self) -> np.ndarray:
         """Return kinetic plus strain energy and the potential of gravity, shape (n,) [J]."""
-        return np.concatenate([model.energy(self.motion[part]) for model, part in self._pieces])
+        return np.concatenate([model.energy(self.values[part]) for model, part in self._pieces])
 
     def dissipated(self) -> np.ndarray:
         """
@@ -141,14 +121,14 @@ class Run(MotionFields):
         much memory: their samples alone are integrated, with a ModelWarning if they are too far
         apart for a relative error of 1e-3.
         """
-        power, steps = self.model.dissipation(self.motion), np.rint(self.t / self.scene.step)
+        power, steps = self.model.dissipation(self.values), np.rint(self.t / self.scene.step)
         every = int(steps[-1]) // max(len(steps) - 1, 1)
         if every > 1 and power.any() and steps[-1] <= _MOST_REPEATED:
             try:
                 dense = run_scene(self.scene, every * (len(steps) - 1))
             except DivergenceError as error:
                 dense = error.run
-            if np.array_equal(dense.motion[::every], self.motion):
+            if np.array_equal(dense.values[::every], self.values):
                 return dense.dissipated()[::every]
         taken, coarse = (np.append(0.0, np.cumsum(integral(1e9 * self.t[::k], power[::k])))
                          for k in (1, 2))
@@ -164,7 +144,7 @@ class Run(MotionFields):
 
         Linear in world x and y [kg m/s], and angular about the world's origin [kg m2/s].
         """
-        return np.concatenate([model.momentum(self.motion[part]) for model, part in self._pieces])
+        return np.concatenate([model.momentum(self.values[part]) for model, part in self._pieces])
 
     @cached_property
     def _pieces(self):
@@ -216,7 +196,7 @@ class Run(MotionFields):
             raise ValueError('a log does not contain all loads: replay it with record_sensors = '
                              'true for ~/root_strain')
         loads = self.loads()
-        return [joints_of_run(self.scene, model, self.motion[part], loads[part])
+        return [joints_of_run(self.scene, model, self.values[part], loads[part])
                 for model, part in self._pieces]
 
     def _of_joints(self, name):
@@ -296,24 +276,13 @@ class Run(MotionFields):
     def _snapshots(self):
         steps = np.rint(self.t / self.scene.step).astype(int).tolist()
         models = [model for model, part in self._pieces for _ in range(*part.indices(len(steps)))]
-        for step, model, motion, effort in zip(steps, models, self.motion, self.effort):
+        for step, model, motion, effort in zip(steps, models, self.values, self.effort):
             # Before the first step nothing has acted, but constraints hold.
             shown = effort if step else np.where(self.model.constrained, effort, 0.0)
             load = [0.0] * LOADS
             load[FORCE_X], load[FORCE_Y], load[TORQUE] = shown.tolist()
             yield Snapshot(self.scene, model, step, round(step * self.scene.step * 1e9),
                            motion, load)
-
-    def _at(self, xi):
-        length, xi = self.scene.manipulator.arm.length, np.atleast_1d(np.asarray(xi, dtype=float))
-        outside = xi[~((0.0 <= xi) & (xi <= length))]
-        if len(outside):
-            raise ValueError(f'xi must be between 0 and arm.length = {length} m, got {outside[0]}')
-        return self.model.at(xi)
-
-    @staticmethod
-    def _pick(xi, values):
-        return values[:, 0] if np.ndim(xi) == 0 else values
 
 
 def run_scene(scene: Scene, steps: int, sample_every: int = 1,

@@ -54,13 +54,8 @@ class Sensitivities:
     error: np.ndarray
 
 
-def tip_position(batch: Batch) -> np.ndarray:
-    """Return the positions of the tips in world axes, shape (n, 2) [m]."""
-    return batch.tip_position
-
-
 def sensitivities(scene: SceneLike, duration: float,
-                  output: Callable[[Batch], np.ndarray] = tip_position,
+                  output: Callable[[Batch], np.ndarray] = Batch.position,
                   parameters: Sequence[str] | Mapping[str, float] = (),
                   commands: Mapping[str, Any] | None = None,
                   samples: int = 1) -> Sensitivities:

@@ -292,7 +292,7 @@ def simulate(scene: SceneLike, duration: float, sample_every: int = 1,
     --------
     >>> import timo_sim
     >>> run = timo_sim.simulate('paper', duration=1.0)
-    >>> run.deflection(2.0).shape
+    >>> run.deflection().shape
     (1001, 2)
 
     """

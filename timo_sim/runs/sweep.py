@@ -288,7 +288,7 @@ def run_lanes(scenes: list[Scene], steps: int) -> tuple[np.ndarray, Batch]:
     """Do runs of one kind together; return `SUMMARY` but for its end, (n, 8), and their Batch."""
     batch, step = Batch(scenes), scenes[0].step
     peak, peak_time, rotation, squares = np.zeros((4, batch.n))
-    first, tips = 0, batch.tip[:, np.newaxis]
+    first, tips = 0, np.column_stack([batch.deflection(), batch.rotation()])[:, np.newaxis]
     while True:
         # The order in memory is always the same, because the last bits of sums depend on it.
         size = np.abs(np.ascontiguousarray(tips)[:, :, 1])
@@ -301,8 +301,8 @@ def run_lanes(scenes: list[Scene], steps: int) -> tuple[np.ndarray, Batch]:
         if batch.steps == steps:
             break
         first, tips = batch.steps + 1, batch.advance_tips(min(CHUNK, steps - batch.steps))
-    return np.column_stack([peak, peak_time, np.sqrt(squares / (steps + 1)), batch.tip[:, 1],
-                            rotation, batch.motion.values[:, :3]]), batch
+    return np.column_stack([peak, peak_time, np.sqrt(squares / (steps + 1)),
+                            batch.deflection()[:, 1], rotation, batch.motion.values[:, :3]]), batch
 
 
 _WORKERS = Parameter('workers', 1, '', 'processes', low=1)

@@ -168,7 +168,7 @@ class Scene:
                 f't = {t:g} s must not be after a change of the load at the tip, since the modes '
                 'are those of the first end effector; it changes at '
                 f'{changed[0] * run.scene.step:g} s')
-        position, velocity = run.motion[sample].reshape(2, -1).tolist()
+        position, velocity = run.values[sample].reshape(2, -1).tolist()
         return self.vary({
             **dict(zip(_POSITION, position)), **dict(zip(_VELOCITY, velocity)),
             'initial.modal_coordinates': position[3:], 'initial.modal_rates': velocity[3:],

@@ -160,8 +160,8 @@ class Batch:
     >>> import numpy as np, timo_sim
     >>> batch = timo_sim.Batch('paper', n=100)
     >>> motion = batch.step(torque=np.linspace(-1.0, 1.0, 100), duration=0.1)
-    >>> motion.shaft.shape, batch.tip.shape, batch.failed.any()
-    ((100,), (100, 3), np.False_)
+    >>> motion.shaft.shape, batch.deflection().shape, batch.failed.any()
+    ((100,), (100, 2), np.False_)
 
     """
 
@@ -177,6 +177,7 @@ class Batch:
         self.n, self._lock = len(self.scenes), threading.Lock()
         _check(self.scenes)
         self._models = [scene.build() for scene in self.scenes]
+        self._straight = np.array([[scene.manipulator.arm.length, 0.0] for scene in self.scenes])
         self._initial = np.array([scene.initial_motion() for scene in self.scenes])
         self._at_start = self._states_of(self._initial, np.ones(self.n, dtype=bool))
         self._needed = {each.needs: np.array([scene.values[each.needs] for scene in self.scenes])
@@ -204,16 +205,18 @@ class Batch:
         """The motions now, whose parts have the shapes (n, ...), see `Motion`."""
         return Motion(from_lanes(self._lanes.motion, self.n))
 
-    @property
-    def tip(self) -> np.ndarray:
-        """Tip along axes I and II of the shaft [m], rotation from the shaft [rad], (n, 3)."""
-        return from_lanes(self._lanes.tip, self.n)
+    def position(self) -> np.ndarray:
+        """Return positions of the tips in world axes, shape (n, 2) [m]."""
+        motion, tip = self.motion, from_lanes(self._lanes.tip, self.n)
+        return motion.carrier + np.column_stack(rotate(motion.shaft, *tip[:, :2].T))
 
-    @property
-    def tip_position(self) -> np.ndarray:
-        """Positions of the tips in world axes, shape (n, 2) [m]."""
-        motion = self.motion
-        return motion.carrier + np.column_stack(rotate(motion.shaft, *self.tip[:, :2].T))
+    def deflection(self) -> np.ndarray:
+        """Return axial and transverse deflection of the tips in the arm frame, (n, 2) [m]."""
+        return from_lanes(self._lanes.tip, self.n)[:, :2] - self._straight
+
+    def rotation(self) -> np.ndarray:
+        """Return rotations of the tips relative to the shaft, shape (n,) [rad]."""
+        return from_lanes(self._lanes.tip, self.n)[:, 2]
 
     def reason(self, number: int) -> str:
         """Return why a manipulator has failed, as the text of a DivergenceError, or ''."""
@@ -231,7 +234,7 @@ class Batch:
         ----------
         mask : array_like of bool, shape (n,), optional
             Which; by default all.
-        motion : array_like, shape (2 (3 + N),) or (n, 2 (3 + N)), optional
+        motion : Motion or array_like, shape (2 (3 + N),) or (n, 2 (3 + N)), optional
             Where to start instead, see `model.layout`.
 
         """

@@ -21,6 +21,7 @@ import numpy as np
 from numpy.typing import ArrayLike
 
 from timo_sim.compiled.machine import telling
+from timo_sim.model.formulation import PointsOfArm
 from timo_sim.model.layout import AFTER, Motion
 from timo_sim.scene.parameters import check_runtime, Parameter, ParameterError, short, steps_in
 from timo_sim.scene.scene import load_scene, Scene, SceneLike
@@ -58,7 +59,7 @@ class _Call(NamedTuple):
             None if self.commanded is None else self.commanded.tobytes())
 
 
-class Simulator:
+class Simulator(PointsOfArm):
     """
     A scene at a certain time step, advanced by the node, `simulate` or a controller's loop.
 
@@ -139,11 +140,6 @@ class Simulator:
         return Sensors(self.snapshot(state=self._state.copy()))
 
     @property
-    def deflection(self) -> np.ndarray:
-        """Deflection of the tip in the arm frame, axial and transverse, shape (2,) [m]."""
-        return self.model.tip(self.motion.values)[:2] - [self.model.manipulator.arm.length, 0.0]
-
-    @property
     def effort(self) -> np.ndarray:
         """Efforts of carrier x, y [N] and shaft [N m], shape (3,), see `Snapshot.effort`."""
         return np.array(self.snapshot().effort)
@@ -155,10 +151,6 @@ class Simulator:
         acts = self._state if state is None else state, self.integration.acting(self.load)
         return Snapshot(self.scene, self.model, self.steps, self.nanoseconds, self.motion.values,
                         load, acts)
-
-    def tip_acceleration(self) -> np.ndarray:
-        """Return the tip's acceleration in world axes at the last step's end, (2,) [m/s2]."""
-        return self.snapshot().accelerations[1]
 
     def reset(self) -> None:
         """Return to the initial motion and the start of the loads; the count of steps goes on."""
@@ -319,13 +311,13 @@ class Simulator:
             self.advance(count, commanded)
         return StepDerivatives(found[:, :size], found[:, size:])
 
-    def set_motion(self, motion: ArrayLike) -> None:
+    def set_motion(self, motion: Motion | ArrayLike) -> None:
         """
         Go on from another motion, such as one that was measured or is to be tried.
 
         Parameters
         ----------
-        motion : array_like, shape (2 (3 + N),)
+        motion : Motion or array_like, shape (2 (3 + N),)
             As `Motion.values`. Coordinates that are held, locked or driven keep their own.
 
         Raises

@@ -6,9 +6,9 @@
 # WARRANTIES OR CONDITIONS OF ANY KIND, either express or implied. See the License for the specific
 # language governing permissions and limitations under the License.
 
-"""Figures of a run, Bode diagrams of linear models, and animations as GIF."""
+"""Figures of runs, linear models and vibrations, and animations as GIF."""
 
-from collections.abc import Sequence
+from collections.abc import Mapping, Sequence
 from itertools import cycle
 from pathlib import Path
 from typing import Any
@@ -20,6 +20,7 @@ from matplotlib.ticker import MultipleLocator
 import numpy as np
 from PIL import Image
 
+from timo_sim.model.layout import without_unit
 from timo_sim.scene.files import whole_file
 from timo_sim.scene.parameters import ParameterError
 from timo_sim.view.track import body_of, Floor, floor_of, FPS, Track
@@ -35,8 +36,7 @@ def plot(run: Any) -> Figure:
     """Return a Figure of a Run: curves over time, and the arm in the plane."""
     length = run.scene.manipulator.arm.length
     curves = {
-        'tip': ('tip deflection [m]', {'axial': run.deflection(length)[:, 0],
-                                       'transverse': run.deflection(length)[:, 1]}),
+        'tip': ('tip deflection [m]', dict(zip(('axial', 'transverse'), run.deflection().T))),
         'shaft': ('shaft angle [rad]', {'theta': run.shaft}),
         'carrier': ('carrier [m]', {'x': run.carrier[:, 0], 'y': run.carrier[:, 1]})}
     held = run.model.constrained
@@ -105,16 +105,23 @@ def bode(model: Any) -> Figure:
     frequency = np.geomspace(ends[0], ends[1], _FREQUENCIES)
     response = model.frequency_response(frequency)
 
-    figure = Figure(figsize=(12, 6), layout='constrained')
-    axes = figure.subplot_mosaic([['size', 'poles'], ['phase', 'poles']], width_ratios=[2, 1])
-    for name, values, colour in zip(model.outputs, response[:, :, 0].T, cycle(COLOURS)):
-        axes['size'].loglog(frequency, np.abs(values), color=colour, label=name)
+    outputs = [without_unit(name) for name in model.outputs]
+    cause, per = without_unit(model.inputs[0])
+    per = f'({per})' if ' ' in per else per
+    units = [*dict.fromkeys(unit for _, unit in outputs)]
+    figure = Figure(figsize=(12, 3.5 + 1.5 * len(units)), layout='constrained')
+    axes = figure.subplot_mosaic([[name, 'poles'] for name in (*units, 'phase')],
+                                 width_ratios=[2, 1])
+    for (name, unit), values, colour in zip(outputs, response[:, :, 0].T, cycle(COLOURS)):
+        axes[unit].loglog(frequency, np.abs(values), color=colour, label=name.replace('_', ' '))
         # Rotated by 1e-3 rad and back, so that round-off does not choose between +-180 degrees.
         phase = np.unwrap(np.angle(values * np.exp(-1e-3j))) + 1e-3
         phase -= 2.0 * np.pi * np.ceil((phase[0] - 0.5 * np.pi) / (2.0 * np.pi))
         axes['phase'].semilogx(frequency, np.degrees(phase), color=colour)
-    axes['size'].set(ylabel=f'output per {model.inputs[0]}')
-    axes['size'].legend(fontsize='small')
+    for unit in units:
+        axes[unit].set(ylabel=f'gain [{unit or 1} / {per}]')
+        axes[unit].legend(fontsize='small')
+    axes[units[0]].set(title=f'response to {cause.replace("_", " ")}')
     axes['phase'].set(xlabel='frequency [Hz]', ylabel='phase [deg]')
     axes['phase'].yaxis.set_major_locator(MultipleLocator(90.0))
     axes['poles'].plot(poles.real, poles.imag / (2.0 * np.pi), 'x', color=COLOURS[0])
@@ -125,6 +132,44 @@ def bode(model: Any) -> Figure:
         axes['poles'].set(xlim=(-1.0, 1.0), xticks=(-1.0, 0.0, 1.0))
     for each in axes.values():
         each.grid(alpha=0.3)
+    return figure
+
+
+_MOST_SHAPES, _AMPLITUDE = 6, 0.15  # drawn; largest displacement in arm lengths
+
+
+def shapes(vibrations: Any) -> Figure:
+    """Return a Figure: the first shapes of Vibrations in the axes of the shaft, exaggerated."""
+    model, count = vibrations.model, min(len(vibrations.poles), _MOST_SHAPES)
+    xi = np.linspace(0.0, model.manipulator.arm.length, _POINTS)
+    rest = model.centre_line(vibrations.motion.q, model.at(xi))
+    figure = Figure(figsize=(6, 1 + 1.5 * max(1, count)), layout='constrained')
+    panels = figure.subplots(max(1, count), sharex=True, sharey=True, squeeze=False)[:, 0]
+    for axes, moved, frequency, damping in zip(
+            panels, vibrations.shapes(xi).real, vibrations.frequency, vibrations.damping):
+        axes.plot(*rest.T, '--', color=_GREY, linewidth=1.0)
+        for size, colour in (-_AMPLITUDE, COLOURS[5]), (_AMPLITUDE, COLOURS[0]):
+            line = rest + size * xi[-1] * moved
+            axes.plot(*line.T, color=colour, marker='.', markevery=4, markersize=4)
+            axes.plot(*line[0], 's', color='0.3', markersize=4)
+        axes.set(title=f'{frequency:.4g} Hz, damping {damping:.2g}', aspect='equal',
+                 ylabel='across [m]')
+        axes.grid(alpha=0.3)
+    panels[-1].set(xlabel='along the shaft [m]')
+    return figure
+
+
+def campbell(found: Mapping[Any, Any]) -> Figure:
+    """Return a Figure: frequencies of Vibrations by speed [rad/s], and multiples of the speed."""
+    figure = Figure(figsize=(7, 5), layout='constrained')
+    axes = figure.subplots()
+    for speed, each in found.items():
+        axes.plot([speed] * len(each.poles), each.frequency, 'o', color=COLOURS[0], markersize=4)
+    axes.set(ylim=(0.0, None), xlabel='shaft speed [rad/s]', ylabel='frequency [Hz]',
+             title='dashed: 1, 2, 3, 4 times the speed')
+    for multiple in range(1, 5):
+        axes.axline((0.0, 0.0), slope=multiple / (2.0 * np.pi), color=_GREY, linestyle='--')
+    axes.grid(alpha=0.3)
     return figure
 
 

@@ -109,7 +109,7 @@ def track_of_run(run: Any, name: str = 'run') -> Track:
     if run.recording is not None:
         return track_of_recording(run.recording, name)
     ns = np.rint(run.t * 1e9).astype(np.int64)
-    return track_of_motion(name, run.scene, ns, run.motion, run.effort, heat=run.friction_heat,
+    return track_of_motion(name, run.scene, ns, run.values, run.effort, heat=run.friction_heat,
                            payloads=run.payloads)
 
 
