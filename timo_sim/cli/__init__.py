@@ -593,7 +593,7 @@ def _urdf_numbers(body):
     # Parts of the moments of inertia that are due to the section's height and width.
     bending, sideways = (lump @ (np.ones_like(lump) * size**2) / 12.0
                          for size in (section.height, section.width))
-    spin = body.shaft_inertia
+    spin, hub = body.shaft_inertia, body.hub_radius
     carrier = np.cbrt(body.carrier_mass / _ALUMINIUM)
     motor = np.cbrt(body.motor_mass / _ALUMINIUM / (2.0 * np.pi))  # as high as it is wide
     ball = np.cbrt(tip / _ALUMINIUM / (4.0 / 3.0 * np.pi))
@@ -613,14 +613,14 @@ def _urdf_numbers(body):
         # The carrier does not turn: any moments of inertia will do that a body can have.
         **inertial('carrier', base, 0.0, *3 * [base * carrier**2 / 6.0]),
         # The shaft turns about z alone: its moments about x and y are made up, as of a ball.
-        **inertial('arm', mass, centre, spin + bending + sideways, spin + apart + sideways,
+        **inertial('arm', mass, hub + centre, spin + bending + sideways, spin + apart + sideways,
                    spin + apart + bending),
         **inertial('tip', tip, 0.0, *3 * [body.end_effector_inertia]),
-        "joint[@name='tip']/origin": {'xyz': [arm.length, 0.0, 0.0]},
+        "joint[@name='tip']/origin": {'xyz': [hub + arm.length, 0.0, 0.0]},
         visual('carrier', 'origin'): {'xyz': [0.0, 0.0, -motor - 0.5 * carrier]},
         visual('carrier', 'geometry/box'): {'size': 3 * [carrier]},
         visual('carrier', 'geometry/cylinder', 2): {'radius': [motor], 'length': [2.0 * motor]},
-        visual('arm', 'origin'): {'xyz': [0.5 * arm.length, 0.0, 0.0]},
+        visual('arm', 'origin'): {'xyz': [hub + 0.5 * arm.length, 0.0, 0.0]},
         visual('arm', 'geometry/box'): {
             'size': [arm.length, np.max(arm.section.height), np.max(arm.section.width)]},
         visual('tip', 'geometry/sphere'): {'radius': [ball]},

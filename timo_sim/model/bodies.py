@@ -130,6 +130,7 @@ class Manipulator:
     # Limits of the Coulomb friction of carrier [N] and shaft [N m] that builds up over a speed,
     # each with this speed [m/s], [rad/s].
     coulomb: tuple = ((0.0, 1.0), (0.0, 1.0))
+    hub_radius: float = 0.0  # from the shaft's axis to the root of the arm, r_h [m]
 
     @property
     def base_mass(self) -> float:

@@ -120,7 +120,7 @@ class Run(MotionFields):
     def deflection(self, xi: ArrayLike) -> np.ndarray:
         """Return axial and transverse deflection in the arm frame, (n, 2) or (n, p, 2) [m]."""
         points = self._at(xi)
-        straight = np.column_stack([points.xi, np.zeros_like(points.xi)])
+        straight = np.column_stack([points.lever, np.zeros_like(points.xi)])
         return self._pick(xi, self.model.centre_line(self.q, points) - straight)
 
     def rotation(self, xi: ArrayLike) -> np.ndarray:

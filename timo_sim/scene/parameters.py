@@ -236,6 +236,8 @@ _ALL = [
     Parameter('arm.damping_of', 'clamped', '', 'vibrations that have these damping ratios: those '
               'of the arm clamped at the shaft, or of the whole manipulator (system), whose '
               'frequencies are higher', choices=('clamped', 'system')),
+    _not_negative('hub.radius', 0.0, 'm', "distance from the shaft's axis to the root of the arm, "
+                  'along the arm; the inertia of the hub is part of motor.shaft_inertia'),
     _positive('carrier.mass', 5.0, 'kg', 'mass of the carrier'),
     _not_negative('carrier.viscous_friction', 0.0, 'N s/m', 'viscous friction force on the '
                   'carrier per speed, along world x and y', runtime=True),

@@ -332,7 +332,8 @@ def manipulator_of(values: Mapping[str, Any]) -> Manipulator:
         values['motor.viscous_friction'] + motor_constants(values)[1],
         # Coulomb friction without a speed is dry: joints stick, and the bodies do not know it.
         tuple((values[f'{body}.coulomb_friction'], speed) if speed else (0.0, 1.0)
-              for body in ('carrier', 'motor') for speed in [values[f'{body}.coulomb_speed']]))
+              for body in ('carrier', 'motor') for speed in [values[f'{body}.coulomb_speed']]),
+        values['hub.radius'])
 
 
 @lru_cache(maxsize=4 * len(_TERM_NAMES))

@@ -337,7 +337,8 @@ def lane_size(scene: Scene) -> dict[str, Any]:
     values = scene.values
     return {**{name: values[name] for name in (
         'model.formulation', 'model.axial_modes', 'model.modes', 'integrator.step',
-        'carrier.held', 'motor.shaft')}, 'push.position > 0': values['push.position'] > 0.0,
+        'carrier.held', 'motor.shaft')},
+        **{f'{name} > 0': values[name] > 0.0 for name in ('push.position', 'hub.radius')},
         'the number of nodes': len(scene.build().quadrature.nodes)}
 
 

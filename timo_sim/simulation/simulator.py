@@ -140,7 +140,7 @@ class Simulator:
     @property
     def deflection(self) -> np.ndarray:
         """Deflection of the tip in the arm frame, axial and transverse, shape (2,) [m]."""
-        return self.model.tip(self.motion.values)[:2] - [self.model.manipulator.arm.length, 0.0]
+        return self.model.tip(self.motion.values)[:2] - [self.model.tip_point.lever[0], 0.0]
 
     @property
     def effort(self) -> np.ndarray:
