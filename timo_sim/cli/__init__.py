@@ -591,8 +591,8 @@ def _urdf_numbers(body):
     centre = lump @ nodes.nodes / mass
     apart = lump @ (nodes.nodes - centre)**2
     # Parts of the moments of inertia that are due to the section's height and width.
-    bending, sideways = (lump @ (np.ones_like(lump) * size**2) / 12.0
-                         for size in (section.height, section.width))
+    bending = nodes.weights @ (np.ones_like(lump) * section.inertia_per_length)
+    sideways = lump @ (np.ones_like(lump) * section.width**2) / 12.0
     spin, hub = body.shaft_inertia, body.hub_radius
     carrier = np.cbrt(body.carrier_mass / _ALUMINIUM)
     motor = np.cbrt(body.motor_mass / _ALUMINIUM / (2.0 * np.pi))  # as high as it is wide

@@ -113,8 +113,7 @@ class UniformModes(Modes):
         section = manipulator.arm.section
         self._arm = pack(UniformArm(
             manipulator.arm.length, section.mass_per_length, section.bending_stiffness,
-            section.shear_stiffness, section.second_moment / section.area,
-            section.young_modulus / (section.shear_correction * section.shear_modulus),
+            section.shear_stiffness, *section.ratios,
             manipulator.end_effector_mass, manipulator.end_effector_inertia))
         self._compute_fields, self._known = fields.of(self._arm), {}
         self.omega = self._roots(manipulator, count)
@@ -187,8 +186,8 @@ class UniformArm(NamedTuple):
     mass_per_length: float
     bending_stiffness: float
     shear_stiffness: float
-    radius2: float          # I / A [m2]
-    ratio: float            # E / (kappa G)
+    radius2: float          # rotary inertia over mass, I / A [m2]
+    ratio: float            # bending over shear stiffness and radius2, E / (kappa G)
     end_effector_mass: float
     end_effector_inertia: float
 

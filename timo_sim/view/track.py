@@ -211,7 +211,8 @@ def body_of(scene: Scene) -> Body:
                              0.1 * arm.length))
 
     return Body(body.hub_radius + arm.length, float(np.max(arm.section.height)),
-                size(body.carrier_mass, 1.0), size(body.motor_mass, np.pi / 4), size(body.end_effector_mass, np.pi / 6))
+                size(body.carrier_mass, 1.0), size(body.motor_mass, np.pi / 4),
+                size(body.end_effector_mass, np.pi / 6))
 
 
 def _of_bag(recording, name, joints):
