@@ -35,7 +35,8 @@ def breadth(shape, z):
 
 @pytest.mark.parametrize('shape', SHAPES)
 def test_shapes_are_integrals_over_the_section(shape):
-    section = scene_of(shape, density=1000.0, young_modulus=2e9, shear_modulus=1e9).manipulator.arm.section
+    scene = scene_of(shape, density=1000.0, young_modulus=2e9, shear_modulus=1e9)
+    section = scene.manipulator.arm.section
     cell = HEIGHT / 200000
     z = -0.5 * HEIGHT + cell * (np.arange(200000) + 0.5)
     area, second = cell * breadth(shape, z).sum(), cell * breadth(shape, z) @ z**2

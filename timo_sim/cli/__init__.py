@@ -223,6 +223,23 @@ def info(file: str) -> None:
 
 
 @main.command()
+@click.argument('file', type=click.Path(dir_okay=False))
+def new(file: str) -> None:
+    r"""
+    Write a short scene to a new FILE, to be changed into your own arm.
+
+    \b
+        timo_sim new my_arm.yaml
+        timo_sim simulate my_arm.yaml --duration 2 --png run.png
+    """
+    from timo_sim.scene.files import scene_file, whole_file
+    text = scene_file('arm').read_text(encoding='utf-8')
+    with whole_file(file, new=True) as part:
+        part.write_text(text.replace('arm.yaml', os.path.basename(file)), encoding='utf-8')
+    click.echo(f'{file} is written; try timo_sim simulate {file} --duration 2 --png run.png')
+
+
+@main.command()
 @click.argument('file', type=click.Path())
 @click.option('--output', '-o', type=click.Path(),
               help="New log; by default beside FILE, a log or a bag's folder, with _recovered "

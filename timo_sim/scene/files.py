@@ -6,7 +6,7 @@
 # WARRANTIES OR CONDITIONS OF ANY KIND, either express or implied. See the License for the specific
 # language governing permissions and limitations under the License.
 
-"""Read scenes from ROS parameter files, given by path or by the name of an installed scene."""
+"""Read scenes from YAML files, those of ROS parameters or of values alone, given by path or by the name of an installed scene."""
 
 from collections.abc import Iterator, Mapping
 from contextlib import contextmanager
@@ -29,6 +29,11 @@ _MAX_DEPTH = max(name.count('.') for name in PARAMETERS)
 _PARENTS = [*Path(__file__).resolve().parents[2:]]
 _SHARED = [_PARENTS[0], *(prefix / 'share/timo_sim' for prefix in _PARENTS[3:4])]
 _FOLDERS = [folder / 'config' for folder in _SHARED]
+
+
+_GROUPS = {name.partition('.')[0] for name in PARAMETERS}
+_A_SCENE = ('a scene is YAML, such as "arm: {length: 0.8}"; timo_sim new my_arm.yaml writes one to '
+            'begin with')
 
 
 def shared_file(path: str) -> Path:
@@ -82,14 +87,27 @@ def scene_file(source: Path | str) -> Path:
 
 def read_parameter_file(path: Path | str) -> dict[str, Any]:
     """
-    Return the values for the node `/timo_sim` in a ROS parameter file, unchecked, by dotted name.
+    Return the values for the node `/timo_sim` in a scene's file, unchecked, by dotted name.
 
-    `path` may also be the name of an installed scene. Sections match the node as in ROS: names
+    It is a ROS parameter file, or has the values alone, such as `arm: {length: 0.8}`. `path` may
+    also be the name of an installed scene. Sections match the node as in ROS: names
     and namespaces, with * for one of them and ** for any number. Parameters of rclpy itself are
     left out. Raises ParameterError if the file is not valid or has no values for the node.
     """
     path = scene_file(path)
-    sections, values = read_sections(path), {}
+    try:
+        content = read_yaml(path)
+    except ParameterError as error:
+        raise ParameterError(f'{error}; {_A_SCENE}') from None
+    if isinstance(content, Mapping) and content and not _has_sections(content):
+        values = flatten(content)
+        if not {name.partition('.')[0] for name in values} & _GROUPS:
+            raise ParameterError(f'{path} is not a scene, it has {short(", ".join(values), str)}: '
+                                 + _A_SCENE)
+        return {name: value for name, value in values.items() if not is_of_rclpy(name)}
+    if not isinstance(content, Mapping):
+        raise ParameterError(f'{path} is not a scene: {_A_SCENE}')
+    sections, values = _sections(content, path), {}
     for node, section in sections.items():
         if is_for(node, '/timo_sim'):
             values.update(section)
@@ -107,7 +125,20 @@ def read_sections(path: Path | str) -> dict[str, dict[str, Any]]:
     Raises ParameterError if it is not YAML, or has duplicate names, aliases, merge keys.
     """
     content = read_yaml(path)
-    found, waiting = {}, [('', {} if content is None else content)]
+    if isinstance(content, Mapping) and content and not _has_sections(content):
+        raise ParameterError(f'{path} must have its values under "/**: {{ros__parameters: ...}}" '
+                             'for the node')
+    return _sections({} if content is None else content, path)
+
+
+def _has_sections(content):
+    # Parameter files nest namespaces and nodes, none of which is a parameter.
+    return isinstance(content, Mapping) and (
+        'ros__parameters' in content or any(map(_has_sections, content.values())))
+
+
+def _sections(content, path):
+    found, waiting = {}, [('', content)]
     while waiting:
         node, inside = waiting.pop(0)
         try:

@@ -247,8 +247,8 @@ _ALL = [
               'rectangle; other shapes have that of Cowper (1966)'),
     *[_not_negative(f'arm.section.{name}', 0.0, unit, f'measured {meaning}; 0: that of shape and '
                     'material') for name, unit, meaning in MEASURED],
-    Parameter('arm.material', 'none', '', 'material whose usual density and moduli the arm has, as '
-              'far as they are not given beside it; none: they are those below',
+    Parameter('arm.material', 'none', '', 'material whose usual density and moduli the arm has, '
+              'as far as they are not given beside it; none: they are those below',
               choices=('none', *MATERIALS)),
     _positive('arm.density', 2710.0, 'kg/m3', 'density'),
     _positive('arm.young_modulus', 70.5e9, 'Pa', "Young's modulus"),

@@ -234,7 +234,7 @@ def load_scene(source: SceneLike, overrides: Mapping[str, Any] | None = None) ->
     Parameters
     ----------
     source : str, Path, dict or Scene
-        A ROS parameter file, the name of an installed scene ('paper', 'pick_and_place', 'spin_up',
+        A YAML file, the name of an installed scene ('arm', 'paper', 'pick_and_place', 'spin_up',
         'standing'), or values by (nested or dotted) name. Values that are not given have their
         defaults: the paper's manipulator at rest without loads. Parameters of the node are checked
         and left out.
