@@ -609,7 +609,8 @@ def _urdf_numbers(body):
     apart = lump @ (nodes.nodes - centre)**2
     # Parts of the moments of inertia that are due to the section's height and width.
     bending = nodes.weights @ (np.ones_like(lump) * section.inertia_per_length)
-    sideways = lump @ (np.ones_like(lump) * section.width**2) / 12.0
+    side = 'height' if arm.section.shape in ('round', 'tube') else 'width'
+    sideways = lump @ (np.ones_like(lump) * getattr(section, side)**2) / 12.0
     spin, hub = body.shaft_inertia, body.hub_radius
     carrier = np.cbrt(body.carrier_mass / _ALUMINIUM)
     motor = np.cbrt(body.motor_mass / _ALUMINIUM / (2.0 * np.pi))  # as high as it is wide
@@ -639,6 +640,6 @@ def _urdf_numbers(body):
         visual('carrier', 'geometry/cylinder', 2): {'radius': [motor], 'length': [2.0 * motor]},
         visual('arm', 'origin'): {'xyz': [hub + 0.5 * arm.length, 0.0, 0.0]},
         visual('arm', 'geometry/box'): {
-            'size': [arm.length, np.max(arm.section.height), np.max(arm.section.width)]},
+            'size': [arm.length, np.max(arm.section.height), np.max(getattr(arm.section, side))]},
         visual('tip', 'geometry/sphere'): {'radius': [ball]},
     }

@@ -6,7 +6,7 @@
 # WARRANTIES OR CONDITIONS OF ANY KIND, either express or implied. See the License for the specific
 # language governing permissions and limitations under the License.
 
-"""Read scenes from YAML files, those of ROS parameters or of values alone, given by path or by the name of an installed scene."""
+"""Read scenes from YAML files, ROS parameter files or values alone, given by path or name."""
 
 from collections.abc import Iterator, Mapping
 from contextlib import contextmanager
@@ -32,8 +32,8 @@ _FOLDERS = [folder / 'config' for folder in _SHARED]
 
 
 _GROUPS = {name.partition('.')[0] for name in PARAMETERS}
-_A_SCENE = ('a scene is YAML, such as "arm: {length: 0.8}"; timo_sim new my_arm.yaml writes one to '
-            'begin with')
+_A_SCENE = ('a scene is YAML, such as "arm: {length: 0.8}"; timo_sim new my_arm.yaml writes one '
+            'to begin with')
 
 
 def shared_file(path: str) -> Path:
