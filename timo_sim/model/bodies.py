@@ -47,8 +47,8 @@ class Section:
     measured_axial_stiffness: float = 0.0    # [N]
 
     def _measured(self, name, computed):
-        found = getattr(self, f'measured_{name}')
-        return found if np.any(found) else computed
+        found = getattr(self, name)
+        return computed if isinstance(found, float) and found == 0.0 else found
 
     @property
     def _sizes(self):
@@ -96,34 +96,35 @@ class Section:
     @property
     def mass_per_length(self) -> float:
         """Mass per length rho A [kg/m]."""
-        return self._measured('mass_per_length', self.density * self.area)
+        return self._measured('measured_mass_per_length', self.density * self.area)
 
     @property
     def inertia_per_length(self) -> float:
         """Rotary inertia per length rho I [kg m]."""
-        return self._measured('rotary_inertia', self.density * self.second_moment)
+        return self._measured('measured_rotary_inertia', self.density * self.second_moment)
 
     @property
     def bending_stiffness(self) -> float:
         """Bending stiffness E I [N m2]."""
-        return self._measured('bending_stiffness', self.young_modulus * self.second_moment)
+        return self._measured('measured_bending_stiffness',
+                              self.young_modulus * self.second_moment)
 
     @property
     def axial_stiffness(self) -> float:
         """Axial stiffness E A [N]."""
-        return self._measured('axial_stiffness', self.young_modulus * self.area)
+        return self._measured('measured_axial_stiffness', self.young_modulus * self.area)
 
     @property
     def shear_stiffness(self) -> float:
         """Shear stiffness kappa G A [N]."""
-        return self._measured('shear_stiffness',
+        return self._measured('measured_shear_stiffness',
                               self.shear_coefficient * self.shear_modulus * self.area)
 
     @property
     def ratios(self) -> tuple[float, float]:
         """Rotary inertia over mass [m2]; bending over shear stiffness, over the former."""
-        if any(getattr(self, field.name) for field in fields(self)
-               if field.name.startswith('measured_')):
+        if (self.measured_mass_per_length or self.measured_rotary_inertia
+                or self.measured_bending_stiffness or self.measured_shear_stiffness):
             square = self.inertia_per_length / self.mass_per_length
             return square, self.bending_stiffness / (self.shear_stiffness * square)
         return (self.second_moment / self.area,

@@ -199,7 +199,7 @@ class Formulation(ABC):
         body, points = self.manipulator, self.points
         arrays = (points.deflection, points.rotation, self.point_mass, self.point_inertia,
                   self.modes.omega**2, self.gravity, self.modes.shear(points.xi))
-        return np.max([body.base_mass, body.shaft_inertia, self.tip_point.lever[0],
+        return np.max([body.base_mass, body.shaft_inertia, body.hub_radius + body.arm.length,
                        *(np.abs(array).max(initial=0.0) for array in arrays)])
 
     @cached_property

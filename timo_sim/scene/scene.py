@@ -403,14 +403,15 @@ def payloads_of(values: Mapping[str, Any]) -> tuple[tuple[int, float, float], ..
     return tuple(zip(steps, masses, inertias))
 
 
+# Fields of a Section with their parameters, and those along the arm.
+_SECTION = [(field.name, f'arm.{name}' if name in _OF_MATERIAL else f'arm.section.{name}',
+             f'arm.profile.{name}') for field in fields(Section)
+            for name in [field.name.removeprefix('measured_')]]
+
+
 def _arm(values):
-    section, profiles = {}, {}
-    for field in fields(Section):
-        name = field.name.removeprefix('measured_')
-        section[field.name] = values[f'arm.{name}' if name in _OF_MATERIAL else
-                                     f'arm.section.{name}']
-        if values.get(f'arm.profile.{name}'):
-            profiles[field.name] = values[f'arm.profile.{name}']
+    section = {field: values[name] for field, name, _ in _SECTION}
+    profiles = {field: values[profile] for field, _, profile in _SECTION if values.get(profile)}
     length, positions = values['arm.length'], values['arm.profile.position']
     if not positions and not profiles:
         _check_section(values)
@@ -419,8 +420,8 @@ def _arm(values):
             np.less_equal(positions[:-1], positions[1:])):
         raise ParameterError('arm.profile.position must ascend from 0 to arm.length = '
                              f'{length:g} m, got {short(list(positions))}')
-    _same_length({f'arm.profile.{name.removeprefix("measured_")}': values for name, values in
-                  {'position': positions, **profiles}.items()})
+    _same_length({'arm.profile.position': positions, **{
+        profile: values[profile] for _, _, profile in _SECTION if values.get(profile)}})
     _check_section(values)
     return Beam(length, Section(**{**section, **profiles}), positions)
 
