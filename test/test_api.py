@@ -210,7 +210,7 @@ def test_names_of_scenes(tmp_path, monkeypatch):
     assert timo_sim.load_scene('paper').load
     assert timo_sim.load_scene('spin_up').values['motor.shaft'] == 'driven'
     with pytest.raises(FileNotFoundError,
-                       match='scenes paper, pick_and_place, spin_up, standing; did you mean'):
+                       match='scenes arm, paper, pick_and_place, spin_up, standing; did you mean'):
         timo_sim.load_scene('papr')
 
 
@@ -219,7 +219,7 @@ IMPLAUSIBLE = [
     ({'arm.shear_modulus': 100e9}, 'above arm.young_modulus'),
     ({'arm.density': 2.71}, 'arm.density = 2.71'),
     ({'initial.shaft': 45.0}, '45 rad is more than a turn; in degrees it would be 0.7854 rad'),
-    ({'arm.length': 0.03, 'end_effector.inertia': 0.0}, 'less than 3 times arm.height'),
+    ({'arm.length': 0.03, 'end_effector.inertia': 0.0}, 'less than 3 times arm.section.height'),
     ({'arm.length': 500.0, 'arm.width': 30.0, 'arm.height': 1.0}, 'metres, not in millimetres'),
     ({'arm.length': 0.8, 'arm.width': 0.03, 'arm.height': 0.002, 'end_effector.mass': 0.3},
      r'inertia = 0.5 kg m2 \(the default\) is that of end_effector.mass = 0.3 kg at more than '
@@ -256,7 +256,7 @@ def test_plausible_values_give_no_warning():
                              'arm.profile.young_modulus': [2e11, 2e9],
                              'arm.profile.shear_modulus': [8e10, 8e8]})
         timo_sim.load_scene({'end_effector.mass': 0.0, 'end_effector.inertia': 0.01})
-        for name in ('paper', 'pick_and_place', 'spin_up', 'standing'):
+        for name in ('arm', 'paper', 'pick_and_place', 'spin_up', 'standing'):
             timo_sim.load_scene(name)
 
 

@@ -29,7 +29,8 @@ SCENES = {
     'friction that builds up': {
         **SWING, 'motor.coulomb_friction': 3.0, 'motor.coulomb_speed': 0.3,
         'carrier.coulomb_friction': 2.0, 'carrier.coulomb_speed': 0.1},
-    'stretches': {**SWING, 'model.axial_modes': 1, 'initial.shaft_velocity': 6.0},
+    'stretches': {**SWING, 'hub.radius': 0.2, 'model.axial_modes': 1,
+                  'initial.shaft_velocity': 6.0},
     'limits': {'motor.torque_limit': 12.0, 'carrier.force_limit': 30.0},
     'limits of rates': {'motor.torque_limit': 12.0, 'motor.torque_rate_limit': 170.0,
                         'carrier.force_rate_limit': 3e3},

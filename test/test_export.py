@@ -171,7 +171,8 @@ FORCES = {
     'rigid axial': {'model.formulation': 'newton_rigid_axial', 'carrier.held': 'x',
                     'push.position': 0.4, 'gravity': [1.0, -9.0]},
     'all held': {'carrier.held': 'both', 'model.axial_modes': 1, 'motor.shaft': 'locked',
-                 'push.position': 0.7, 'gravity': [1.0, 2.0], 'arm.damping_ratio': [0.02]}}
+                 'push.position': 0.7, 'gravity': [1.0, 2.0], 'arm.damping_ratio': [0.02]},
+    'hub': {'hub.radius': 0.3, 'gravity': [1.0, 2.0], 'arm.damping_ratio': [0.02]}}
 
 
 @pytest.mark.parametrize('name', FORCES)

@@ -11,13 +11,16 @@
 import math
 import os
 import pickle
+import warnings
 
+from click.testing import CliRunner
 from hypothesis import example, given, HealthCheck, settings, strategies as st
 import numpy as np
 import pytest
 
 from oracles import elastica
 import timo_sim
+from timo_sim.cli import main
 from timo_sim.scene.files import read_parameter_file
 from timo_sim.scene.parameters import PARAMETERS, SCENE, short
 
@@ -289,7 +292,7 @@ LISTS = 'a0: &a0 [1.0, 1.0]\n' + ''.join(
 
 
 HOSTILE = [
-    ('{', 'is not a YAML file'), ('- 1', 'values must be given by name, got'),
+    ('{', 'is not a YAML file'), ('- 1', 'is not a scene'),
     ('other_node: {ros__parameters: {arm.length: 1.0}}', 'must have parameters under timo_sim'),
     (BOMB + 'arm: *a20}}', 'an alias, which ROS does not take'),
     (LISTS + 'arm.profile.width: *a40}}', 'an alias, which ROS does not take'),
@@ -300,8 +303,44 @@ HOSTILE = [
     ('timo_sim: {ros__parameters: {arm.length: 1\0}}', 'is not a YAML file'),
     ('timo_sim: {ros__parameters: {arm.length: 0x' + 'f' * 9000 + '}}', 'got (a huge |<)int'),
     ('timo_sim: {ros__parameters: {record_file: "a\\0b"}}', 'record_file must be a text'),
-    ('', 'must have parameters under')
+    ('', 'is not a scene'), ('{"world": {"bodies": [1]}}', 'is not a scene, it has world.bodies')
 ]
+
+
+@pytest.mark.parametrize('text', [
+    'arm: {length: 0.7}', 'arm.length: 0.7\nuse_sim_time: true', '{"arm": {"length": 0.7}}'])
+def test_values_alone_are_a_scene(tmp_path, text):
+    path = tmp_path / 'scene.yaml'
+    path.write_text(text)
+    assert timo_sim.load_scene(path) == timo_sim.load_scene({'arm.length': 0.7})
+
+
+@pytest.mark.parametrize('text', [
+    '<?xml version="1.0"?>\n<robot name="a">\n  <link name="b"/>\n</robot>\n',
+    '<mujoco model="a: b">\n\t<worldbody/>\n</mujoco>', '[1, 2]', '{"length": 0.7}'])
+def test_what_is_no_scene_is_told_what_one_looks_like(tmp_path, text):
+    path = tmp_path / 'arm.urdf'
+    path.write_text(text)
+    with pytest.raises(timo_sim.ParameterError, match='a scene is YAML, such as "arm: {length: '):
+        timo_sim.load_scene(path)
+
+
+def test_a_new_scene_is_an_arm_on_a_bench(tmp_path):
+    path = tmp_path / 'mine.yaml'
+    assert CliRunner().invoke(main, ['new', str(path)]).exit_code == 0
+    with warnings.catch_warnings():
+        warnings.simplefilter('error')
+        scene = timo_sim.load_scene(path)
+        run = timo_sim.simulate(scene, 1.0, estimate=False)
+    assert run.shaft[0] == 0.0 and np.abs(run.deflection(0.8)[:, 1]).max() > 0.01
+    # Whatever of the paper's manipulator would matter is replaced.
+    default = timo_sim.load_scene({}).manipulator
+    for name in ('arm', 'shaft_inertia', 'end_effector_mass', 'end_effector_inertia'):
+        assert getattr(scene.manipulator, name) != getattr(default, name)
+    assert scene.values['carrier.held'] == 'both'
+    written = path.read_text()
+    again = CliRunner().invoke(main, ['new', str(path)])
+    assert again.exit_code == 1 and 'exists' in again.output and path.read_text() == written
 
 
 def test_files_that_are_wrong_or_made_to_break_their_reader(tmp_path):

@@ -23,7 +23,7 @@ INPUTS = [FORCE_X, FORCE_Y, TORQUE, TIP_X, TIP_Y, TIP_TORQUE, PUSH_X, PUSH_Y]
 @pytest.mark.parametrize('values', [
     MOVING, {**MOVING, 'carrier.held': 'both', 'gravity': [1.0, -9.81], 'push.position': 0.7},
     {**MOVING, 'carrier.viscous_friction': 3.0, 'motor.viscous_friction': 0.4,
-     'arm.damping_ratio': [0.02]},
+     'arm.damping_ratio': [0.02], 'hub.radius': 0.3},
     {**MOVING, 'carrier.coulomb_friction': 2.0, 'motor.coulomb_friction': 0.5,
      'carrier.coulomb_speed': 0.3, 'motor.coulomb_speed': 2.0},
     {'initial.modal_rates': [0.3, 0.2, -0.1], 'motor.shaft': 'locked'},

@@ -25,7 +25,7 @@ urdf_parser_py = pytest.importorskip('urdf_parser_py.urdf')
 
 URDF = Path(__file__).resolve().parents[1] / 'urdf' / 'timo_sim.urdf'
 TAPERED = {'arm.profile.position': [0.0, 2.0], 'arm.profile.height': [0.06, 0.02],
-           'carrier.mass': 7.0, 'motor.mass': 3.0, 'end_effector.mass': 0.5}
+           'carrier.mass': 7.0, 'motor.mass': 3.0, 'end_effector.mass': 0.5, 'hub.radius': 0.1}
 
 
 def urdf(scene, changes=None, code=0):
@@ -37,7 +37,9 @@ def urdf(scene, changes=None, code=0):
     return result.output
 
 
-@pytest.mark.parametrize('name, changes', [('paper', {}), ('paper', TAPERED), ('spin_up', {})])
+@pytest.mark.parametrize('name, changes', [
+    ('paper', {}), ('paper', TAPERED), ('spin_up', {}),
+    ('arm', {'arm.section.shape': 'tube', 'arm.section.wall': 0.001})])
 def test_bodies_move_as_those_of_the_model(name, changes):
     """Energy and momentum of the straight arm, which turns and moves along y, are the same."""
     robot = urdf_parser_py.URDF.from_xml_string(urdf(name, changes).encode())
@@ -56,7 +58,7 @@ def test_bodies_move_as_those_of_the_model(name, changes):
     assert kinetic == pytest.approx(model.energy(motion[np.newaxis])[0], rel=1e-8)  # 9 digits
     assert total * speed + first * turning == pytest.approx(
         model.momentum(motion[np.newaxis])[0, 1], rel=1e-8)
-    assert length == scene.values['arm.length']
+    assert length == pytest.approx(scene.values['hub.radius'] + scene.values['arm.length'])
     for body in carrier, arm, tip:  # a rigid body has such moments of inertia
         moments = sorted([body.inertia.ixx, body.inertia.iyy, body.inertia.izz])
         assert 0.0 <= moments[2] <= moments[0] + moments[1]

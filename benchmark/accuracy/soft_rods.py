@@ -55,7 +55,7 @@ def rod(scene, order, driven):
     if values['end_effector.mass'] or values['end_effector.inertia']:
         raise ValueError('soromox knows no body on the tip of a rod')
     link = LinkSpec.rectangular(
-        length=values['arm.length'], height=values['arm.height'], width=values['arm.width'],
+        length=values['arm.length'], height=section.height, width=section.width,
         density=values['arm.density'], reference_strain=[0.0, 0.0, 0.0, 1.0, 0.0, 0.0],
         young_modulus=values['arm.young_modulus'],
         shear_modulus=section.shear_stiffness / section.area)

@@ -140,7 +140,7 @@ def linear_errors(number, modes, seed=1):
     values = {name: value for name, value in values.items() if name.startswith(('arm.', 'motor.m',
                                                                                 'carrier.mass'))}
     mass = values['arm.density'] * math.prod(values[f'arm.{side}'] for side in (
-        'length', 'width', 'height'))
+        'length', 'section.width', 'section.height'))
     held, locked = (bool(random.integers(2)) for _ in range(2))
     free = timo_sim.load_scene({
         **values, 'model.modes': modes, 'initial.shaft': 0.0,

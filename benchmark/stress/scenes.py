@@ -203,9 +203,9 @@ def _cell(draw, number, kind, elements):
     values = {
         'model.formulation': draw.formulation, 'model.modes': draw.modes,
         'model.axial_modes': draw.axial, 'integrator.step': step,
-        'arm.length': length, 'arm.height': height, 'arm.width': width,
+        'arm.length': length, 'arm.section.height': height, 'arm.section.width': width,
         'arm.density': draw.density, 'arm.young_modulus': draw.young, 'arm.shear_modulus': shear,
-        'arm.shear_correction': kappa, 'arm.damping_ratio': [draw.damping],
+        'arm.section.shear_correction': kappa, 'arm.damping_ratio': [draw.damping],
         'end_effector.mass': mass * draw.tip[0],
         'end_effector.inertia': mass * length**2 * draw.tip[1],
         'carrier.mass': mass * draw.carrier, 'motor.mass': mass * draw.motor,
@@ -306,7 +306,7 @@ def laden_cell(number, seed=1):
     given = cell(number, seed)
     random, values = np.random.default_rng([seed, 2, number]), dict(given.values)
     length, mass = values['arm.length'], values['arm.density'] * math.prod(
-        values[f'arm.{side}'] for side in ('length', 'width', 'height'))
+        values[f'arm.{side}'] for side in ('length', 'section.width', 'section.height'))
 
     def log(low, high):
         return float(np.exp(random.uniform(np.log(low), np.log(high))))
@@ -346,8 +346,8 @@ def hard_cell(number, seed=1):
     if kind in ('long', 'resonance'):
         values.pop('initial.modal_coordinates', None)
         return Cell(number, kind, values, steps, steps // 20, False)
-    length, height = values['arm.length'], values['arm.height']
-    area = height * values['arm.width']
+    length, height = values['arm.length'], values['arm.section.height']
+    area = height * values['arm.section.width']
     stiffness = values['arm.young_modulus'] * area * height**2 / 12.0
     mass = values['arm.density'] * area * length
     omega = np.sqrt(3.0 * stiffness / length**3 / (0.24 * mass + values['end_effector.mass']))

@@ -40,6 +40,8 @@ class LinearBeam:
     """
     A scene at rest with a uniform arm along x; `u` holds w, phi at the nodes, (2 n,).
 
+    Its first number is the y of the carrier, from which a hub reaches to the root.
+
     Parameters
     ----------
     scene : Scene
@@ -71,6 +73,9 @@ class LinearBeam:
                     (section.shear_stiffness, [slope, -value], stiffness)):
                 field = np.vstack(field)
                 matrix[place] += factor * (field * weights) @ field.T
+        hub = np.eye(2 * count)
+        hub[0, count] = body.hub_radius
+        mass, stiffness = hub.T @ mass @ hub, hub.T @ stiffness @ hub
         for place, inertia in ((0, body.base_mass), (count, body.shaft_inertia),
                                (count - 1, body.end_effector_mass),
                                (2 * count - 1, body.end_effector_inertia)):
@@ -85,7 +90,7 @@ class LinearBeam:
         self._strain = np.zeros(2 * count)
         self._strain[count:count + ORDER + 1] = section.height / size * legendre.legval(
             -1.0, legendre.legder(shapes))
-        self.length = arm.length
+        self.length = body.hub_radius + arm.length
 
     def response(self, cause, frequency):
         """

@@ -257,6 +257,23 @@ def modes(scene: str, more: tuple[float, ...], settings: tuple[str, ...],
 
 
 @main.command()
+@click.argument('file', type=click.Path(dir_okay=False))
+def new(file: str) -> None:
+    r"""
+    Write a short scene to a new FILE, to be changed into your own arm.
+
+    \b
+        timo_sim new my_arm.yaml
+        timo_sim simulate my_arm.yaml --duration 2 --png run.png
+    """
+    from timo_sim.scene.files import scene_file, whole_file
+    text = scene_file('arm').read_text(encoding='utf-8')
+    with whole_file(file, new=True) as part:
+        part.write_text(text.replace('arm.yaml', os.path.basename(file)), encoding='utf-8')
+    click.echo(f'{file} is written; try timo_sim simulate {file} --duration 2 --png run.png')
+
+
+@main.command()
 @click.argument('file', type=click.Path())
 @click.option('--output', '-o', type=click.Path(),
               help="New log; by default beside FILE, a log or a bag's folder, with _recovered "
@@ -625,9 +642,10 @@ def _urdf_numbers(body):
     centre = lump @ nodes.nodes / mass
     apart = lump @ (nodes.nodes - centre)**2
     # Parts of the moments of inertia that are due to the section's height and width.
-    bending, sideways = (lump @ (np.ones_like(lump) * size**2) / 12.0
-                         for size in (section.height, section.width))
-    spin = body.shaft_inertia
+    bending = nodes.weights @ (np.ones_like(lump) * section.inertia_per_length)
+    side = 'height' if arm.section.shape in ('round', 'tube') else 'width'
+    sideways = lump @ (np.ones_like(lump) * getattr(section, side)**2) / 12.0
+    spin, hub = body.shaft_inertia, body.hub_radius
     carrier = np.cbrt(body.carrier_mass / _ALUMINIUM)
     motor = np.cbrt(body.motor_mass / _ALUMINIUM / (2.0 * np.pi))  # as high as it is wide
     ball = np.cbrt(tip / _ALUMINIUM / (4.0 / 3.0 * np.pi))
@@ -647,15 +665,15 @@ def _urdf_numbers(body):
         # The carrier does not turn: any moments of inertia will do that a body can have.
         **inertial('carrier', base, 0.0, *3 * [base * carrier**2 / 6.0]),
         # The shaft turns about z alone: its moments about x and y are made up, as of a ball.
-        **inertial('arm', mass, centre, spin + bending + sideways, spin + apart + sideways,
+        **inertial('arm', mass, hub + centre, spin + bending + sideways, spin + apart + sideways,
                    spin + apart + bending),
         **inertial('tip', tip, 0.0, *3 * [body.end_effector_inertia]),
-        "joint[@name='tip']/origin": {'xyz': [arm.length, 0.0, 0.0]},
+        "joint[@name='tip']/origin": {'xyz': [hub + arm.length, 0.0, 0.0]},
         visual('carrier', 'origin'): {'xyz': [0.0, 0.0, -motor - 0.5 * carrier]},
         visual('carrier', 'geometry/box'): {'size': 3 * [carrier]},
         visual('carrier', 'geometry/cylinder', 2): {'radius': [motor], 'length': [2.0 * motor]},
-        visual('arm', 'origin'): {'xyz': [0.5 * arm.length, 0.0, 0.0]},
+        visual('arm', 'origin'): {'xyz': [hub + 0.5 * arm.length, 0.0, 0.0]},
         visual('arm', 'geometry/box'): {
-            'size': [arm.length, np.max(arm.section.height), np.max(arm.section.width)]},
+            'size': [arm.length, np.max(arm.section.height), np.max(getattr(arm.section, side))]},
         visual('tip', 'geometry/sphere'): {'radius': [ball]},
     }

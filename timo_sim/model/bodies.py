@@ -18,55 +18,117 @@ from numpy.polynomial import legendre
 from numpy.typing import ArrayLike
 
 
+SHAPES = 'rectangle', 'round', 'tube', 'box', 'i'
+
+
 @dataclass(frozen=True)
 class Section:
     """
-    A rectangular cross-section of the arm, or arrays of them.
+    A cross-section of the arm, or arrays of them: a shape of a material, or measured values.
 
-    Source: paper, section 2.1 and Table 1.
+    Measured values take the place of those of shape and material; 0 stands for none. Sources:
+    paper, section 2.1 and Table 1; shear coefficients of G. R. Cowper, J. Appl. Mech. 33 (1966)
+    335-340, those of box and I for thin walls.
     """
 
-    width: float             # size normal to the plane of motion [m]
+    width: float             # size normal to the plane of motion [m]; not of round and tube
     height: float            # size in the plane of motion, the direction of bending [m]
     density: float           # [kg/m3]
     young_modulus: float     # [Pa]
     shear_modulus: float     # [Pa]
-    shear_correction: float  # factor kappa, paper eq. (37) for a rectangle
+    shear_correction: float  # factor kappa of a rectangle, paper eq. (37)
+    shape: str = 'rectangle'  # of SHAPES
+    wall: float = 0.0        # thickness of the wall of tube and box, of the flanges of i [m]
+    web: float = 0.0         # thickness of the web of i [m]
+    measured_mass_per_length: float = 0.0    # [kg/m]
+    measured_rotary_inertia: float = 0.0     # [kg m]
+    measured_bending_stiffness: float = 0.0  # [N m2]
+    measured_shear_stiffness: float = 0.0    # [N]
+    measured_axial_stiffness: float = 0.0    # [N]
+
+    def _measured(self, name, computed):
+        found = getattr(self, name)
+        return computed if isinstance(found, float) and found == 0.0 else found
+
+    @property
+    def _sizes(self):
+        # Width and height of the section and of what is cut out of it, whether they are diameters.
+        inner = self.height - 2.0 * self.wall
+        if self.shape in ('round', 'tube'):
+            return self.height, self.height, *2 * (inner * (self.shape == 'tube'),), True
+        across = {'box': 2.0 * self.wall, 'i': self.web}.get(self.shape, self.width)
+        return self.width, self.height, self.width - across, inner, False
 
     @property
     def area(self) -> float:
         """Section area A [m2]."""
-        return self.width * self.height
+        width, height, cut_width, cut_height, is_round = self._sizes
+        return (width * height - cut_width * cut_height) * (0.25 * math.pi if is_round else 1.0)
 
     @property
     def second_moment(self) -> float:
         """Second moment of the section about its neutral axis, I [m4]."""
-        return self.width * self.height**3 / 12.0
+        width, height, cut_width, cut_height, is_round = self._sizes
+        return (width * height**3 - cut_width * cut_height**3) / (
+            64.0 / math.pi if is_round else 12.0)
+
+    @property
+    def shear_coefficient(self) -> float:
+        """Shear correction factor kappa: Cowper's, but for a rectangle the given one."""
+        width, height, cut, _, is_round = self._sizes
+        nu = 0.5 * self.young_modulus / self.shear_modulus - 1.0  # Poisson's ratio
+        if is_round:
+            square = (cut / height)**2
+            return 6.0 * (1.0 + nu) * (1.0 + square)**2 / (
+                (7.0 + 6.0 * nu) * (1.0 + square)**2 + (20.0 + 12.0 * nu) * square)
+        if self.shape == 'rectangle':
+            return self.shear_correction
+        # Sizes of the centre lines; m is the area of the flanges over that of the webs.
+        depth, box = height - self.wall, self.shape == 'box'
+        n = (width - self.wall if box else width) / depth
+        m = n if box else 2.0 * n * self.wall / self.web
+        flanges = (10.0 * n**2 * ((3.0 + nu) * m + 3.0 * m**2) if box else
+                   30.0 * n**2 * (m + m**2) + 5.0 * nu * n**2 * (8.0 * m + 9.0 * m**2))
+        return 10.0 * (1.0 + nu) * (1.0 + 3.0 * m)**2 / (
+            12.0 + 72.0 * m + 150.0 * m**2 + 90.0 * m**3
+            + nu * (11.0 + 66.0 * m + 135.0 * m**2 + 90.0 * m**3) + flanges)
 
     @property
     def mass_per_length(self) -> float:
         """Mass per length rho A [kg/m]."""
-        return self.density * self.area
+        return self._measured('measured_mass_per_length', self.density * self.area)
 
     @property
     def inertia_per_length(self) -> float:
         """Rotary inertia per length rho I [kg m]."""
-        return self.density * self.second_moment
+        return self._measured('measured_rotary_inertia', self.density * self.second_moment)
 
     @property
     def bending_stiffness(self) -> float:
         """Bending stiffness E I [N m2]."""
-        return self.young_modulus * self.second_moment
+        return self._measured('measured_bending_stiffness',
+                              self.young_modulus * self.second_moment)
 
     @property
     def axial_stiffness(self) -> float:
         """Axial stiffness E A [N]."""
-        return self.young_modulus * self.area
+        return self._measured('measured_axial_stiffness', self.young_modulus * self.area)
 
     @property
     def shear_stiffness(self) -> float:
         """Shear stiffness kappa G A [N]."""
-        return self.shear_correction * self.shear_modulus * self.area
+        return self._measured('measured_shear_stiffness',
+                              self.shear_coefficient * self.shear_modulus * self.area)
+
+    @property
+    def ratios(self) -> tuple[float, float]:
+        """Rotary inertia over mass [m2]; bending over shear stiffness, over the former."""
+        if (self.measured_mass_per_length or self.measured_rotary_inertia
+                or self.measured_bending_stiffness or self.measured_shear_stiffness):
+            square = self.inertia_per_length / self.mass_per_length
+            return square, self.bending_stiffness / (self.shear_stiffness * square)
+        return (self.second_moment / self.area,
+                self.young_modulus / (self.shear_coefficient * self.shear_modulus))
 
     @property
     def cutoff(self) -> float:
@@ -77,7 +139,7 @@ class Section:
 @dataclass(frozen=True)
 class Beam:
     """
-    A Timoshenko beam of rectangular section: the arm.
+    A Timoshenko beam: the arm.
 
     The fields of the section are floats, or tuples of values at `positions`, with linear
     interpolation. At a position given twice the section jumps.
@@ -130,6 +192,7 @@ class Manipulator:
     # Limits of the Coulomb friction of carrier [N] and shaft [N m] that builds up over a speed,
     # each with this speed [m/s], [rad/s].
     coulomb: tuple = ((0.0, 1.0), (0.0, 1.0))
+    hub_radius: float = 0.0  # from the shaft's axis to the root of the arm, r_h [m]
 
     @property
     def base_mass(self) -> float:

@@ -51,6 +51,7 @@ import math
 from typing import Any
 
 import numpy as np
+from numpy.typing import ArrayLike
 
 from timo_sim.model.exact_code import BAND, BANDS, SECTORS, Tables
 from timo_sim.model.formulation import Formulation, Points
@@ -62,7 +63,7 @@ class Exact(Formulation):
 
     def build(self) -> tuple[Any, np.ndarray]:
         """Return the tables and the linear part, that of the straight arm."""
-        modes, nodes = self.modes, self.quadrature.nodes
+        modes = self.modes
         # D integrates slopes at the nodes to the points of mass; d / m_t, and K (T26) or, along an
         # axis on which the carrier is held, the kernel about the root (T30).
         to_points = self.points.integral.T
@@ -72,10 +73,10 @@ class Exact(Formulation):
         kernel = np.stack([about_centre if axis in self.axes else about_root for axis in range(2)])
 
         # Fields of the coordinates q_i, i = 0 is the shaft (T22), and Xi_ij (T26).
-        one, none = np.ones((len(self.points.xi), 1)), np.zeros((len(nodes), 1))
-        rotation = np.concatenate([one[:len(nodes)], modes.rotation(nodes)], axis=1)
-        shear = np.concatenate([none, modes.shear(nodes)], axis=1)
-        self._stretch = np.concatenate([none, modes.stretch(nodes)], axis=1).T
+        rotation = self._at_nodes(1.0, modes.rotation)
+        shear = self._at_nodes(0.0, modes.shear)
+        self._stretch = self._at_nodes(0.0, modes.stretch).T
+        one = np.ones((len(self.points.xi), 1))
         at_points = np.concatenate([one, self.points.rotation.T], axis=1)
         rotary = at_points.T @ (self.point_inertia[:, np.newaxis] * at_points)
         rotary[0, 0] += self.manipulator.shaft_inertia
@@ -87,7 +88,7 @@ class Exact(Formulation):
         locked = self.constraints.locked
         self.sectors = SECTORS if one_axis and self._rate_count and locked is None else 0
         self._kernel, self._slope = kernel, rotation + shear
-        push = self.push_point.integral.T if self.push_point else np.empty((0, len(nodes)))
+        push = self.push_point.integral.T if self.push_point else np.empty((0, len(rotation)))
         tables = Tables(
             self.mass, kernel if one_axis else kernel[:1], to_centre, rotation.T, shear.T, rotary,
             np.empty((0, 0)), damping, self.manipulator.carrier_friction,
@@ -102,6 +103,20 @@ class Exact(Formulation):
             tables = tables._replace(bands_per_speed=1.0 / (self._band * inertia),
                                      turning=np.zeros_like(linear))
         return tables, linear
+
+    def at(self, xi: ArrayLike) -> Points:
+        """Return points at distances xi from the root; the hub is one more node (T50)."""
+        points, radius = super().at(xi), self.manipulator.hub_radius
+        return points._replace(integral=np.vstack([
+            points.integral, np.full_like(points.xi, radius)])) if radius else points
+
+    def _at_nodes(self, of_shaft, field):
+        # A field of the shaft and the modes at the nodes, (n_g, 1 + N); no mode bends the hub.
+        values = field(self.quadrature.nodes)
+        values = np.concatenate([np.full((len(values), 1), of_shaft), values], axis=1)
+        if self.manipulator.hub_radius:
+            values = np.concatenate([values, [[of_shaft] + len(self.modes) * [0.0]]])
+        return values
 
     def _with_linear_part(self, tables, angle):
         # Returns the tables and the linear part of the straight arm, whose C is E along the arm
@@ -162,7 +177,7 @@ class Exact(Formulation):
                                momentum[..., axes], momenta[..., self.driven:]], axis=-1)
 
     def centre_line(self, q: np.ndarray, points: Points) -> np.ndarray:
-        """Return the integral of the slopes from the root."""
+        """Return the integral of the slopes from the shaft's axis."""
         a, b = self._slopes(self._relative(q))[2:]
         return np.stack([a @ points.integral, b @ points.integral], axis=-1)
 

@@ -37,7 +37,8 @@ class Tables(NamedTuple):
     Constants of the compiled functions.
 
     Sizes: 1 + N `coordinates`, of which n are `free`, the last A `axial`, and the last R have
-    `rates` in place of momenta in the state (T35); n_g `nodes`. `kernels` is 2, or 1 if that for x
+    `rates` in place of momenta in the state (T35); n_g `nodes`, the last of which is that of a hub
+    if there is one (T50). `kernels` is 2, or 1 if that for x
     holds for y, too; `axes` counts those along which the carrier is free, `pushes` is 1 if a force
     may act on the arm, else 0; `turning` is the length of the state for an arm that stretches with
     one axis of the carrier held, else 0.

@@ -25,10 +25,14 @@ from timo_sim.model.layout import LOADS, rotate
 from timo_sim.model.modes import axial_modes, JoinedModes, Modes, modes_of
 
 
+_DRAWN = 41  # points of the centre line that views draw
+
+
 class Points(NamedTuple):
     """Points of the centre line, with the integration weights and mode shapes there."""
 
     xi: np.ndarray          # distance from the root [m], (p,)
+    lever: np.ndarray       # distance from the shaft's axis, r_h + xi [m], (p,)
     integral: np.ndarray    # from nodal values to their integral from 0 [m], (n_g, p)
     deflection: np.ndarray  # W_n, (N, p)
     rotation: np.ndarray    # Phi_n, (N, p)
@@ -176,8 +180,9 @@ class Formulation(ABC):
     def tip_travel(self) -> np.ndarray:
         """Travel of the straight arm's tip per x_c, y_c, theta [m/rad] and q_n, (3 + N,)."""
         tip, modes = np.array([self.manipulator.arm.length]), self.modes
+        lever = self.manipulator.hub_radius + tip[0]
         by_modes = np.abs(modes.deflection(tip)) + np.abs(modes.displacement(tip))
-        return np.concatenate([[1.0, 1.0, tip[0]], by_modes[0]])
+        return np.concatenate([[1.0, 1.0, lever], by_modes[0]])
 
     @cached_property
     def packed(self) -> Packed:
@@ -193,7 +198,8 @@ class Formulation(ABC):
     def magnitude_bound(self) -> float:
         """Largest of the numbers from which an energy is computed."""
         body, points = self.manipulator, self.points
-        numbers = ([body.base_mass, body.shaft_inertia, body.arm.length], points.deflection,
+        length = body.hub_radius + body.arm.length
+        numbers = ([body.base_mass, body.shaft_inertia, length], points.deflection,
                    points.rotation, self.point_mass, self.point_inertia, self.modes.omega**2,
                    self.gravity, self.modes.shear(points.xi))
         return np.abs(np.concatenate([np.ravel(each) for each in numbers])).max()
@@ -260,7 +266,8 @@ class Formulation(ABC):
         missing[xi == 0.0] = 0.0  # the root stays where it is, to the last bit
         weights = np.sqrt(self.quadrature.weights)
         share = np.linalg.pinv(weights[:, np.newaxis] * slope) * weights
-        return Points(xi, (integral + missing @ share).T, deflection.T, self.modes.rotation(xi).T)
+        return Points(xi, self.manipulator.hub_radius + xi, (integral + missing @ share).T,
+                      deflection.T, self.modes.rotation(xi).T)
 
     def project_on_modes(self, deflection: Callable[[np.ndarray], ArrayLike],
                          rotation: Callable[[np.ndarray], ArrayLike]) -> np.ndarray:
@@ -278,9 +285,9 @@ class Formulation(ABC):
     @abstractmethod
     def centre_line(self, q: np.ndarray, points: Points) -> np.ndarray:
         """
-        Return the positions of points of the centre line from the root, shape (n, p, 2) [m].
+        Return the positions of points of the centre line, shape (n, p, 2) [m].
 
-        In the arm frame, along axes I and II, for modal coordinates q, shape (n, N).
+        From the shaft's axis along axes I and II, for modal coordinates q, shape (n, N).
         """
 
     @abstractmethod
@@ -317,6 +324,17 @@ class Formulation(ABC):
         along, across = np.moveaxis(self.centre_line(self._split(motions)[0], points), -1, 0)
         turned = np.stack(rotate(motions[..., 2, np.newaxis], along, across), axis=-1)
         return motions[..., np.newaxis, 0:2] + turned
+
+    def shape(self, motions: np.ndarray) -> np.ndarray:
+        """Return the line from the shaft's axis to the tip, to draw, world axes, (n, p, 2) [m]."""
+        line = self.world(motions, self._drawn)
+        if self.manipulator.hub_radius:
+            line = np.concatenate([motions[:, np.newaxis, :2], line], axis=1)
+        return line
+
+    @cached_property
+    def _drawn(self):
+        return self.at(np.linspace(0.0, self.manipulator.arm.length, _DRAWN))
 
     def energy(self, motions: np.ndarray) -> np.ndarray:
         """
@@ -421,7 +439,7 @@ class PointsOfArm:
     def deflection(self: Any, xi: ArrayLike | None = None) -> np.ndarray:
         """Return axial and transverse deflection in the arm frame, (n, 2) or (n, p, 2) [m]."""
         points = self._points(xi)
-        straight = np.column_stack([points.xi, np.zeros_like(points.xi)])
+        straight = np.column_stack([points.lever, np.zeros_like(points.xi)])
         return self._pick(xi, self.model.centre_line(self.motion.q, points) - straight)
 
     def rotation(self: Any, xi: ArrayLike | None = None) -> np.ndarray:

@@ -103,7 +103,7 @@ def tip(tables, motion, out):
     """
     Write the position and rotation of the tip in a motion, (3,).
 
-    Along axes I and II from the root [m], rotation relative to the shaft [rad].
+    Along axes I and II from the shaft's axis [m], rotation relative to the shaft [rad].
     """
 
 

@@ -113,8 +113,7 @@ class UniformModes(Modes):
         section = manipulator.arm.section
         self._arm = pack(UniformArm(
             manipulator.arm.length, section.mass_per_length, section.bending_stiffness,
-            section.shear_stiffness, section.second_moment / section.area,
-            section.young_modulus / (section.shear_correction * section.shear_modulus),
+            section.shear_stiffness, *section.ratios,
             manipulator.end_effector_mass, manipulator.end_effector_inertia))
         self._compute_fields, self._known = fields.of(self._arm), {}
         self.omega = self._roots(manipulator, count)
@@ -187,8 +186,8 @@ class UniformArm(NamedTuple):
     mass_per_length: float
     bending_stiffness: float
     shear_stiffness: float
-    radius2: float          # I / A [m2]
-    ratio: float            # E / (kappa G)
+    radius2: float          # rotary inertia over mass, I / A [m2]
+    ratio: float            # bending over shear stiffness and radius2, E / (kappa G)
     end_effector_mass: float
     end_effector_inertia: float
 
@@ -527,8 +526,8 @@ def axial_modes(manipulator: Manipulator, count: int, constraints: Constraints) 
     the arm, then to the inertia of earlier responses. They are orthogonal and normalised as
     bending modes are (T3), and in ascending order.
 
-    The constraints set the centre of rotation for the centrifugal forces: the root if the carrier
-    is held, the mass centre if it is free, the point half-way between if one axis is held.
+    The constraints set the centre of rotation for the centrifugal forces: the shaft's axis if the
+    carrier is held, the mass centre if it is free, the point half-way between if one axis is held.
 
     Source: load-dependent Ritz vectors, Wilson, Yuan and Dickens, Earthquake Eng. Struct. Dyn. 10
     (1982) 813-821; strains at Gauss nodes and singular values as in `GalerkinModes`.
@@ -537,11 +536,12 @@ def axial_modes(manipulator: Manipulator, count: int, constraints: Constraints) 
     strains, fine = Quadrature(breaks, terms), Quadrature(breaks, terms, extra=3)
     mass, section = manipulator.inertia(fine)[0], manipulator.arm.at(strains.nodes)
     free = 0.5 * len(constraints.free_axes)
-    centre = free * (mass @ fine.points) / (manipulator.base_mass + mass.sum())
+    lever = manipulator.hub_radius + fine.points
+    centre = free * (mass @ lever) / (manipulator.base_mass + mass.sum())
     scale = 1.0 / np.sqrt(strains.weights * section.axial_stiffness)
     root_mass = np.sqrt(mass)
     matrix = root_mass[:, np.newaxis] * strains.integrate_to(fine.points) * scale
-    basis, loads = np.empty((len(scale), 0)), [root_mass * (fine.points - centre), root_mass]
+    basis, loads = np.empty((len(scale), 0)), [root_mass * (lever - centre), root_mass]
     for number in range(count):
         basis = np.linalg.qr(np.column_stack([basis, matrix.T @ loads[number]]))[0]
         loads.append(matrix @ basis[:, number])

@@ -33,6 +33,9 @@ and the reactions of the root on the carrier, in (31), (32), are integrals over 
 A force (F_1, F_2) and a torque tau_e on the tip add `l F_2 - w(l) F_1 + tau_e` to the first row,
 `W_n(l) F_2 + Phi_n(l) tau_e` to the others, F_1 to P(0) and F_2 to V(0) (T17).
 
+A hub of radius r_h puts `r_h + xi`, the lever of a point, in place of xi in these integrals, and
+`r_h + l` in place of l (doc/theory.md, section 11).
+
 The formulations derived from this one change coefficients of these equations, see `Laws`. (T15)
 and (T11) have a constant matrix A for z = (theta'', q''). It is inverted once, so that
 `z = z_0 - v beta`. beta follows from (31), (32), without the rows of axes along which the carrier
@@ -90,8 +93,8 @@ class Newton(Formulation):
 
     @property
     def first_moment(self) -> float:
-        """First moment of the arm's mass about its root, s_a [kg m]."""
-        return self.point_mass @ self.points.xi
+        """First moment of the arm's mass about the shaft's axis, s_a [kg m]."""
+        return self.point_mass @ self.points.lever
 
     @property
     def modal_moments(self) -> np.ndarray:
@@ -105,16 +108,17 @@ class Newton(Formulation):
 
     def laws(self) -> Laws:
         """Return the coefficients of the equations of motion."""
-        xi, mass, count = self.points.xi, self.point_mass, len(self.modes)
-        about_root = self.points.deflection @ (mass * xi)
+        lever, mass, count = self.points.lever, self.point_mass, len(self.modes)
+        about_shaft = self.points.deflection @ (mass * lever)
         matrix = np.eye(1 + count)
         if not self.own_modes:
             matrix[1:, 1:] = self.deflection_mass + (
                 self.points.rotation * self.point_inertia) @ self.points.rotation.T
-        matrix[0, 0] = (self.manipulator.shaft_inertia + mass @ xi**2 + self.point_inertia.sum())
-        matrix[0, 1:] = matrix[1:, 0] = about_root + self.points.rotation @ self.point_inertia
+        matrix[0, 0] = (
+            self.manipulator.shaft_inertia + mass @ lever**2 + self.point_inertia.sum())
+        matrix[0, 1:] = matrix[1:, 0] = about_shaft + self.points.rotation @ self.point_inertia
         column = np.append(self.first_moment, self.modal_moments)
-        return Laws(matrix, column, np.vstack([about_root, self.deflection_mass]),
+        return Laws(matrix, column, np.vstack([about_shaft, self.deflection_mass]),
                     np.vstack([np.zeros(count), np.eye(count)]), self.arm_mass, column,
                     self.modal_moments, np.zeros(count), self.modal_moments)
 
@@ -127,7 +131,7 @@ class Newton(Formulation):
             self.speed_limit = 1.0 / np.sqrt(np.linalg.eigvalsh(weak)[-1])
         laws, base_mass = self.laws(), self.manipulator.base_mass
         deflection, rotation = self.points.deflection, self.points.rotation
-        mass, inertia, xi = self.point_mass, self.point_inertia, self.points.xi
+        mass, inertia, lever = self.point_mass, self.point_inertia, self.points.lever
         stiffness, damping = self.modes.omega**2, 2.0 * self.damping * self.modes.omega
         free, axes = slice(self.driven, None), len(self.axes)
         inverse = np.linalg.inv(laws.matrix[free, free])
@@ -152,13 +156,13 @@ class Newton(Formulation):
             laws.shear_row, laws.shear_softening, laws.axial, stiffness, damping,
             np.array([self.manipulator.carrier_friction, self.manipulator.shaft_friction]),
             np.array(self.manipulator.coulomb), self.axes, self.held_position,
-            self.manipulator.arm.length, laws.tip_share,
+            lever[-1], laws.tip_share,
             deflection[:, -1], rotation[:, -1], self.gravity,
-            self.push_point.xi[0] if self.push_point else 0.0,
+            self.push_point.lever[0] if self.push_point else 0.0,
             self.push_point.deflection.T if self.push_point else np.empty((0, len(stiffness))),
-            self.manipulator.shaft_inertia + mass @ xi**2 + inertia.sum(), laws.shear_mass,
+            self.manipulator.shaft_inertia + mass @ lever**2 + inertia.sum(), laws.shear_mass,
             laws.matrix[0], laws.column[0], laws.stress[0], laws.shear_stress,
-            self.modal_moments, deflection @ (mass * xi) + rotation @ inertia,
+            self.modal_moments, deflection @ (mass * lever) + rotation @ inertia,
             self.deflection_mass, self.deflection_mass + (rotation * inertia) @ rotation.T)
         return tables, linear
 
@@ -177,7 +181,7 @@ class Newton(Formulation):
         inboard = self.points.integral.T @ slope**2
         mass = self.point_mass
         push = self.push_point.integral[:, 0] @ slope**2 if self.push_point else 0.0
-        return np.array([inboard[-1], push, -mass @ inboard, (mass * self.points.xi) @ inboard])
+        return np.array([inboard[-1], push, -mass @ inboard, (mass * self.points.lever) @ inboard])
 
     def axial_share(self, state: np.ndarray, load: np.ndarray) -> float:
         """
@@ -198,9 +202,9 @@ class Newton(Formulation):
                      / self.modes.omega[0]**2)
 
     def centre_line(self, q: np.ndarray, points: Points) -> np.ndarray:
-        """Return the points (xi, w)."""
+        """Return the points (r_h + xi, w)."""
         deflection = q @ points.deflection
-        return np.stack([np.broadcast_to(points.xi, deflection.shape), deflection], axis=-1)
+        return np.stack([np.broadcast_to(points.lever, deflection.shape), deflection], axis=-1)
 
     def centre_line_rate(self, q: np.ndarray, qdot: np.ndarray, points: Points) -> np.ndarray:
         """Return the rates (0, w')."""
@@ -255,7 +259,7 @@ class NewtonRigidAxial(Newton):
 
     def laws(self) -> Laws:
         """Return the coefficients of the equations of motion."""
-        centre = np.array([self.first_moment / self.arm_mass])
+        centre = np.array([self.point_mass @ self.points.xi / self.arm_mass])
         return super().laws()._replace(axial=self.arm_mass * self.modes.deflection(centre)[0])
 
 
@@ -289,15 +293,15 @@ class Tables(NamedTuple):
     coulomb: Annotated[np.ndarray, 2, 2]                   # `Manipulator.coulomb`
     axes: Annotated[np.ndarray, int, 'axes']               # axes along which the carrier is free
     held_position: Annotated[np.ndarray, 2]                # of a carrier that is held
-    length: float        # l
+    length: float        # r_h + l
     tip_share: float     # share of a load on the tip, see `Laws`
     tip_deflection: Annotated[np.ndarray, 'modes']         # W_n at the tip
     tip_rotation: Annotated[np.ndarray, 'modes']           # Phi_n at the tip
     gravity: Annotated[np.ndarray, 2]                      # g along world x and y
-    push_place: float    # distance from the root to where a force acts on the arm
+    push_place: float    # distance from the shaft's axis to where a force acts on the arm
     push_deflection: Annotated[np.ndarray, 'pushes', 'modes']  # W_n there
     # For forces of constraints and energy alone:
-    inertia: float       # about the root, with the shaft's
+    inertia: float       # about the shaft's axis, with the shaft's
     shear_mass: float    # m_V
     shaft_row: Annotated[np.ndarray, 'coordinates']        # A_0j
     shaft_column: float  # c_0
@@ -580,7 +584,7 @@ def _tip_rate(tables, motion, out):
 
 @functions.tip.of(Tables)
 def _tip(tables, motion, out):
-    """Write the tip's position (l, w), and its rotation."""
+    """Write the tip's position (r_h + l, w), and its rotation."""
     out[0] = tables.length
     out[1] = 0.0
     out[2] = 0.0

@@ -20,8 +20,6 @@ from timo_sim.model.formulation import Formulation
 from timo_sim.ros.topics import Outlet
 from timo_sim.simulation.snapshot import Snapshot
 
-_POINTS = 41
-
 
 class ArmShape(Outlet):
     """The outlet of the centre line of a Formulation; `frame` is the name of the world frame."""
@@ -31,14 +29,12 @@ class ArmShape(Outlet):
 
     def __init__(self, node: Node, model: Formulation, frame: str) -> None:
         super().__init__(node, self.name, 'visualization_msgs/msg/Marker')
-        arm = model.manipulator.arm
         self._model, self._frame, self.every = model, frame, 1
-        self._points = model.at(np.linspace(0.0, arm.length, _POINTS))
-        self._thickness = float(np.max(arm.section.height))
+        self._thickness = float(np.max(model.manipulator.arm.section.height))
 
     def publish(self, snapshot: Snapshot, again: bool = False) -> None:
         """Send the shape that the arm has in a snapshot; `again` as in `Outlet.send`."""
-        line = self._model.world(snapshot.motion[np.newaxis], self._points)[0]
+        line = self._model.shape(snapshot.motion[np.newaxis])[0]
         sec, nanosec = snapshot.time
         self.send(serialize_message(Marker(
             header=Header(stamp=Time(sec=sec, nanosec=nanosec), frame_id=self._frame),

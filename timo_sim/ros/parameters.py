@@ -175,7 +175,7 @@ def _converted(parameter):
         return parameter
     if isinstance(value, str) and _is_list(name) and (value[:1], value[-1:]) == ('[', ']'):
         value = value[1:-1].split(',')
-    return _of_rclpy(name, check({name: value}, _SOURCE)[name])
+    return _of_rclpy(name, check({name: value}, _SOURCE).get(name, value))
 
 
 def _of_rclpy(name, value):

@@ -283,7 +283,7 @@ def _outputs(model, motion, load):
     accelerations, at_tip = model.accelerations(motions, model.state(motions), loads)
     joints = Joints(model, motions, accelerations, loads, at_tip)
     q, tip = motions[:, 3:half], model.tip_point
-    along, across = model.centre_line(q, tip)[0, 0]
+    along, across = model.centre_line(q, tip)[0, 0] - [model.manipulator.hub_radius, 0.0]
     return np.concatenate([
         motion[:3], model.world(motions, tip)[0, 0], [along, across],
         model.section_rotation(q, tip)[0], [np.arctan2(across, along)],

@@ -190,7 +190,7 @@ def _inputs_of_scene(scene, parameters):
 def _inputs_of_commands(scene, commanded, duration):
     body, model = scene.manipulator, scene.build()
     inertia = (body.shaft_inertia + model.point_inertia.sum()
-               + model.point_mass @ model.points.xi**2)
+               + model.point_mass @ model.points.lever**2)
     # What would move a rigid arm by its length, or turn it by a radian, within the run.
     by_force, by_torque = (size / duration**2 for size in (model.mass * body.arm.length, inertia))
     of_unit = {'N': by_force, 'N m': by_torque, 'V': 1.0}

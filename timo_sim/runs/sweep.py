@@ -46,7 +46,7 @@ from timo_sim.runs.run import run_scene
 from timo_sim.runs.simulate import measure_error, resolve
 from timo_sim.scene.files import flatten, read_yaml, whole_file
 from timo_sim.scene.parameters import (
-    check, Parameter, ParameterError, PARAMETERS, SCENE, short, steps_in)
+    check, Parameter, ParameterError, PARAMETERS, SCENE, short, steps_in, today)
 from timo_sim.scene.scene import load_scene, Scene, SceneLike
 from timo_sim.simulation.batch import Batch, lane_size, refusal
 from timo_sim.simulation.warnings import unseen_load
@@ -492,7 +492,7 @@ def _check_grid(given):
                                  + short(values))
         for value in values:
             _check_values('grid', {name: value})
-    return list(given), math.prod(len(values) for values in given.values())
+    return [*map(today, given)], math.prod(len(values) for values in given.values())
 
 
 def _check_random(given):
@@ -512,7 +512,7 @@ def _check_random(given):
                                  f'got {short(ends)}')
         for end in ends:
             _check_values('random', {name: end})
-    return list(given['ranges']), given['count']
+    return [*map(today, given['ranges'])], given['count']
 
 
 def _check_mapping(entry, given):
@@ -524,7 +524,7 @@ def _check_mapping(entry, given):
 def _check_values(entry, values):
     check(values, entry)
     for name in values:
-        if PARAMETERS[name].scope != SCENE:
+        if PARAMETERS[today(name)].scope != SCENE:
             raise ParameterError(f'{name} is a parameter of the node, not of the scene ({entry})')
 
 

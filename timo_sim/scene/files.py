@@ -6,7 +6,7 @@
 # WARRANTIES OR CONDITIONS OF ANY KIND, either express or implied. See the License for the specific
 # language governing permissions and limitations under the License.
 
-"""Read scenes from ROS parameter files, given by path or by the name of an installed scene."""
+"""Read scenes from YAML files, ROS parameter files or values alone, given by path or name."""
 
 from collections.abc import Iterator, Mapping
 from contextlib import contextmanager
@@ -19,7 +19,8 @@ from typing import Any
 
 import yaml
 
-from timo_sim.scene.parameters import did_you_mean, ParameterError, PARAMETERS, short
+from timo_sim.scene.parameters import (
+    did_you_mean, ParameterError, PARAMETERS, short, today)
 
 QOS = 'qos_overrides.'  # prefix of rclpy's parameters for the QoS of topics
 _MAX_DEPTH = max(name.count('.') for name in PARAMETERS)
@@ -28,6 +29,11 @@ _MAX_DEPTH = max(name.count('.') for name in PARAMETERS)
 _PARENTS = [*Path(__file__).resolve().parents[2:]]
 _SHARED = [_PARENTS[0], *(prefix / 'share/timo_sim' for prefix in _PARENTS[3:4])]
 _FOLDERS = [folder / 'config' for folder in _SHARED]
+
+
+_GROUPS = {name.partition('.')[0] for name in PARAMETERS}
+_A_SCENE = ('a scene is YAML, such as "arm: {length: 0.8}"; timo_sim new my_arm.yaml writes one '
+            'to begin with')
 
 
 def shared_file(path: str) -> Path:
@@ -86,15 +92,28 @@ def installed_scenes() -> dict[str, Path]:
 
 def read_parameter_file(path: Path | str, text: str | None = None) -> dict[str, Any]:
     """
-    Return the values for the node `/timo_sim` in a ROS parameter file, unchecked, by dotted name.
+    Return the values for the node `/timo_sim` in a scene's file, unchecked, by dotted name.
 
-    `path` may also be the name of an installed scene. Sections match the node as in ROS: names
+    It is a ROS parameter file, or has the values alone, such as `arm: {length: 0.8}`. `path` may
+    also be the name of an installed scene. Sections match the node as in ROS: names
     and namespaces, with * for one of them and ** for any number. Parameters of rclpy itself are
     left out. `text` stands for the content of a file; errors name it by `path`. Raises
     ParameterError if the file is not valid or has no values for the node.
     """
     path = scene_file(path) if text is None else path
-    sections, values = read_sections(path, text), {}
+    try:
+        content = read_yaml(path) if text is None else parse_yaml(text, path)
+    except ParameterError as error:
+        raise ParameterError(f'{error}; {_A_SCENE}') from None
+    if isinstance(content, Mapping) and content and not _has_sections(content):
+        values = flatten(content)
+        if not {name.partition('.')[0] for name in values} & _GROUPS:
+            raise ParameterError(f'{path} is not a scene, it has {short(", ".join(values), str)}: '
+                                 + _A_SCENE)
+        return {name: value for name, value in values.items() if not is_of_rclpy(name)}
+    if not isinstance(content, Mapping):
+        raise ParameterError(f'{path} is not a scene: {_A_SCENE}')
+    sections, values = _sections(content, path), {}
     for node, section in sections.items():
         if is_for(node, '/timo_sim'):
             values.update(section)
@@ -105,14 +124,27 @@ def read_parameter_file(path: Path | str, text: str | None = None) -> dict[str, 
     return {name: value for name, value in values.items() if not is_of_rclpy(name)}
 
 
-def read_sections(path: Path | str, text: str | None = None) -> dict[str, dict[str, Any]]:
+def read_sections(path: Path | str) -> dict[str, dict[str, Any]]:
     """
-    Return the sections of a ROS parameter file, or its text: unchecked values by name, by node.
+    Return the sections of a ROS parameter file: unchecked values by dotted name, by node.
 
     Raises ParameterError if it is not YAML, or has duplicate names, aliases, merge keys.
     """
-    content = read_yaml(path) if text is None else parse_yaml(text, path)
-    found, waiting = {}, [('', {} if content is None else content)]
+    content = read_yaml(path)
+    if isinstance(content, Mapping) and content and not _has_sections(content):
+        raise ParameterError(f'{path} must have its values under "/**: {{ros__parameters: ...}}" '
+                             'for the node')
+    return _sections({} if content is None else content, path)
+
+
+def _has_sections(content):
+    # Parameter files nest namespaces and nodes, none of which is a parameter.
+    return isinstance(content, Mapping) and (
+        'ros__parameters' in content or any(map(_has_sections, content.values())))
+
+
+def _sections(content, path):
+    found, waiting = {}, [('', content)]
     while waiting:
         node, inside = waiting.pop(0)
         try:
@@ -182,7 +214,7 @@ def flatten(values: Mapping[str, Any], prefix: str = '') -> dict[str, Any]:
     """Return nested or dotted values as one dictionary by dotted name, or raise ParameterError."""
     flat = {}
     for name, value in _mapping(values).items():
-        name = f'{prefix}{name}'
+        name = today(f'{prefix}{name}')
         # No parameter has more dots, so that the recursion is bounded.
         nested = isinstance(value, Mapping) and prefix.count('.') <= _MAX_DEPTH
         for each, inner in (flatten(value, f'{name}.') if nested else {name: value}).items():

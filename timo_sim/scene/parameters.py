@@ -26,6 +26,7 @@ import warnings
 import numpy as np
 
 from timo_sim.model import FORMULATIONS
+from timo_sim.model.bodies import SHAPES
 from timo_sim.model.layout import INPUTS
 from timo_sim.topics.outputs import FRAMES, outputs, SENSORS, TRANSFORMS
 
@@ -189,9 +190,9 @@ def _load(channel, unit, meaning):
             for name, of, text, low in rows]
 
 
-def _profile(name, unit):
+def _profile(name, unit, block=''):
     return _positive(f'arm.profile.{name}', (), unit,
-                     f'arm.{name} at arm.profile.position; empty: constant')
+                     f'arm.{block}{name} at arm.profile.position; empty: constant')
 
 
 def _rate(name, topic, default):
@@ -214,20 +215,49 @@ _MAX_SENSOR_ERROR = 1e9  # keeps sensor arithmetic finite
 _MAX_ANGLE = 1e6         # [rad] up to which sine and cosine are accurate
 _FRAME = r'[^/\s]\S*'    # a name that tf2 accepts
 _OUTPUTS = outputs(1)
+# Measured properties of a section: name, unit, meaning.
+MEASURED = (('mass_per_length', 'kg/m', 'mass per length'),
+            ('rotary_inertia', 'kg m', 'rotary inertia per length'),
+            ('bending_stiffness', 'N m2', 'bending stiffness E I'),
+            ('shear_stiffness', 'N', 'shear stiffness kappa G A'),
+            ('axial_stiffness', 'N', 'axial stiffness E A'))
+# Density [kg/m3], Young's modulus [Pa], Poisson's ratio: usual values of handbooks.
+MATERIALS = {'acrylic': (1180.0, 3.1e9, 0.37), 'aluminium': (2700.0, 70e9, 0.33),
+             'brass': (8500.0, 105e9, 0.34), 'pla': (1240.0, 3.3e9, 0.36),
+             'stainless_steel': (7900.0, 195e9, 0.29), 'steel': (7850.0, 210e9, 0.30),
+             'titanium': (4430.0, 114e9, 0.34)}
+# Names that parameters had before 0.3.0.
+_RENAMED = {f'arm.{name}': f'arm.section.{name}'
+            for name in ('width', 'height', 'shear_correction')}
+_OF_MATERIAL = 'arm.density', 'arm.young_modulus', 'arm.shear_modulus'
 _SENSOR_TOPICS = [output.name for output in _OUTPUTS if output.delay]
 
 _ALL = [
     _positive('arm.length', 2.0, 'm', 'length of the arm'),
-    _positive('arm.width', 0.02, 'm', 'section size normal to the plane of motion'),
-    _positive('arm.height', 0.02, 'm', 'section size in the plane of motion'),
+    Parameter('arm.section.shape', 'rectangle', '', 'shape of the section; i stands in the plane, '
+              'its web along the height', choices=SHAPES),
+    _positive('arm.section.width', 0.02, 'm', 'section size normal to the plane of motion; not of '
+              'round and tube'),
+    _positive('arm.section.height', 0.02, 'm', 'section size in the plane of motion, diameter of '
+              'round and tube; half of it is the distance of the outer fibre'),
+    _not_negative('arm.section.wall', 0.0, 'm', 'thickness of the wall of tube and box, and of '
+                  'the flanges of i'),
+    _not_negative('arm.section.web', 0.0, 'm', 'thickness of the web of i'),
+    _positive('arm.section.shear_correction', 0.85, '', 'shear correction factor kappa of a '
+              'rectangle; other shapes have that of Cowper (1966)'),
+    *[_not_negative(f'arm.section.{name}', 0.0, unit, f'measured {meaning}; 0: that of shape and '
+                    'material') for name, unit, meaning in MEASURED],
+    Parameter('arm.material', 'none', '', 'material whose usual density and moduli the arm has, '
+              'as far as they are not given beside it; none: they are those below',
+              choices=('none', *MATERIALS)),
     _positive('arm.density', 2710.0, 'kg/m3', 'density'),
     _positive('arm.young_modulus', 70.5e9, 'Pa', "Young's modulus"),
     _positive('arm.shear_modulus', 27e9, 'Pa', 'shear modulus'),
-    _positive('arm.shear_correction', 0.85, '', 'shear correction factor kappa'),
     _not_negative('arm.profile.position', (), 'm', 'distances from the root between which the '
                   'section varies linearly, from 0 to arm.length; a repeated one is a jump'),
-    _profile('width', 'm'),
-    _profile('height', 'm'),
+    *[_profile(name, unit, 'section.') for name, unit in (
+        ('width', 'm'), ('height', 'm'), ('wall', 'm'), ('web', 'm'),
+        *(each[:2] for each in MEASURED))],
     _profile('density', 'kg/m3'),
     _profile('young_modulus', 'Pa'),
     _profile('shear_modulus', 'Pa'),
@@ -236,6 +266,8 @@ _ALL = [
     Parameter('arm.damping_of', 'clamped', '', 'vibrations that have these damping ratios: those '
               'of the arm clamped at the shaft, or of the whole manipulator (system), whose '
               'frequencies are higher', choices=('clamped', 'system')),
+    _not_negative('hub.radius', 0.0, 'm', "distance from the shaft's axis to the root of the arm, "
+                  'along the arm; the inertia of the hub is part of motor.shaft_inertia'),
     _positive('carrier.mass', 5.0, 'kg', 'mass of the carrier'),
     _not_negative('carrier.viscous_friction', 0.0, 'N s/m', 'viscous friction force on the '
                   'carrier per speed, along world x and y', runtime=True),
@@ -372,9 +404,15 @@ SPLIT = 'integrator.tolerance'  # 0.2.0 split steps by it; its logs are read wit
 
 
 def check(values: Mapping[str, Any], source: str) -> dict[str, Any]:
-    """Return values by name as their types; raise ParameterError that names the text `source`."""
-    checked = {}
+    """
+    Return values by name as their types; raise ParameterError that names the text `source`.
+
+    Older names become those of today. `arm.material` stands for density and moduli; what is given
+    beside it of these has its own value.
+    """
+    checked: dict[str, Any] = {}
     for name, value in values.items():
+        name, before = today(name), checked.get(today(name))
         if name == SPLIT:
             raise ParameterError(f'{SPLIT} is not a parameter any more: steps are not split, take '
                                  f'a smaller integrator.step ({source})')
@@ -385,7 +423,18 @@ def check(values: Mapping[str, Any], source: str) -> dict[str, Any]:
             checked[name] = PARAMETERS[name].check(value)
         except ParameterError as error:
             raise ParameterError(f'{error} ({source})') from None
+        if before not in (None, checked[name]):
+            raise ParameterError(f'{name} is given twice, by an older name, too ({source})')
+    if checked.get('arm.material', 'none') != 'none':
+        density, young, poisson = MATERIALS[checked['arm.material']]
+        of_material = density, young, 0.5 * young / (1.0 + poisson)
+        checked = dict(zip(_OF_MATERIAL, of_material)) | checked
     return checked
+
+
+def today(name: str) -> str:
+    """Return the name that a parameter has today, by its own or an older one."""
+    return _RENAMED.get(name, name)
 
 
 def frame_names(values: Mapping[str, Any]) -> dict[str, str]:
@@ -423,5 +472,7 @@ def check_runtime(values: Mapping[str, Any], later: Mapping[str, Any]) -> None:
 
 
 def changed(values: Mapping[str, Any]) -> dict[str, Any]:
-    """Return the values that differ from their defaults."""
-    return {name: value for name, value in values.items() if value != PARAMETERS[name].default}
+    """Return the values that differ from their defaults, or from those of the material."""
+    named = values.get('arm.material', 'none') != 'none'
+    return {name: value for name, value in values.items()
+            if value != PARAMETERS[name].default or named and name in _OF_MATERIAL}

@@ -13,7 +13,7 @@ from __future__ import annotations
 from bisect import bisect_left
 from collections.abc import Callable, Iterable, Mapping
 from dataclasses import dataclass, fields, replace
-from functools import cached_property, lru_cache
+from functools import cached_property, lru_cache, partial
 import math
 from pathlib import Path
 import re
@@ -32,7 +32,7 @@ from timo_sim.scene.loads import (
     CHANNELS, check_slope, Drive, Harmonic, Load, Piecewise, Table)
 from timo_sim.scene.parameters import (
     changed, check, DELAYS, did_you_mean, Parameter, ParameterError, PARAMETERS, SCENE, short,
-    warn, whole_ratio)
+    today, warn, whole_ratio)
 
 # Ranges of real solids; `load_scene` warns of values outside.
 _PLAUSIBLE = {'young_modulus': (1e5, 2e12, 'Pa'), 'density': (10.0, 25000.0, 'kg/m3')}
@@ -43,7 +43,17 @@ _TERM_NAMES = {channel: tuple(f'load.{channel}.{name}' for name in (
 _MAX_NUMBER = 1e50  # products of six numbers, as in an energy, do not overflow
 _MAX_LENGTH = 30.0  # longest arm that is not taken for one in millimetres [m]
 _MIN_SLENDERNESS = 3.0  # length over height; a shorter arm is a block, not a beam
+_OF_MATERIAL = 'density', 'young_modulus', 'shear_modulus'
 _SCENE_NAMES = [name for name, parameter in PARAMETERS.items() if parameter.scope == SCENE]
+
+
+class _Values(dict):
+    # Values of parameters, which are found by older names, too.
+
+    def __missing__(self, name):
+        if today(name) == name:
+            raise KeyError(name)
+        return self[today(name)]
 
 
 @dataclass(frozen=True, repr=False)
@@ -180,7 +190,7 @@ class Scene:
         return {**state, 'values': dict(self.values)}
 
     def __setstate__(self, state):
-        self.__dict__.update(state, values=MappingProxyType(state['values']))
+        self.__dict__.update(state, values=MappingProxyType(_Values(state['values'])))
 
     def initial_motion(self, model: Formulation | None = None) -> np.ndarray:
         """Return the motion at t = 0, shape (2 (3 + N),), of the scene's or another model."""
@@ -224,7 +234,7 @@ def load_scene(source: SceneLike, overrides: Mapping[str, Any] | None = None) ->
     Parameters
     ----------
     source : str, Path, dict or Scene
-        A ROS parameter file, the name of an installed scene ('paper', 'pick_and_place', 'spin_up',
+        A YAML file, the name of an installed scene ('arm', 'paper', 'pick_and_place', 'spin_up',
         'standing'), or values by (nested or dotted) name. Values that are not given have their
         defaults: the paper's manipulator at rest without loads. Parameters of the node are checked
         and left out.
@@ -265,9 +275,9 @@ def load_scene(source: SceneLike, overrides: Mapping[str, Any] | None = None) ->
 
 def scene_from(values: Mapping[str, Any]) -> Scene:
     """Return the Scene of checked values, or raise ParameterError if they do not fit together."""
-    values = MappingProxyType({
+    values = MappingProxyType(_Values({
         name: tuple(value) if isinstance(value := values[name], list) else value
-        for name in _SCENE_NAMES})
+        for name in _SCENE_NAMES}))
     check_counts(values)
     check_initial(values)
     check_push(values)
@@ -332,7 +342,8 @@ def manipulator_of(values: Mapping[str, Any]) -> Manipulator:
         values['motor.viscous_friction'] + motor_constants(values)[1],
         # Coulomb friction without a speed is dry: joints stick, and the bodies do not know it.
         tuple((values[f'{body}.coulomb_friction'], speed) if speed else (0.0, 1.0)
-              for body in ('carrier', 'motor') for speed in [values[f'{body}.coulomb_speed']]))
+              for body in ('carrier', 'motor') for speed in [values[f'{body}.coulomb_speed']]),
+        values['hub.radius'])
 
 
 @lru_cache(maxsize=4 * len(_TERM_NAMES))
@@ -392,21 +403,54 @@ def payloads_of(values: Mapping[str, Any]) -> tuple[tuple[int, float, float], ..
     return tuple(zip(steps, masses, inertias))
 
 
+# Fields of a Section with their parameters, and those along the arm.
+_SECTION = [(field.name, f'arm.{name}' if name in _OF_MATERIAL else f'arm.section.{name}',
+             f'arm.profile.{name}') for field in fields(Section)
+            for name in [field.name.removeprefix('measured_')]]
+
+
 def _arm(values):
-    names = [field.name for field in fields(Section)]
-    section = {name: values[f'arm.{name}'] for name in names}
+    section = {field: values[name] for field, name, _ in _SECTION}
+    profiles = {field: values[profile] for field, _, profile in _SECTION if values.get(profile)}
     length, positions = values['arm.length'], values['arm.profile.position']
-    profiles = {name: values[f'arm.profile.{name}'] for name in names
-                if values.get(f'arm.profile.{name}')}
     if not positions and not profiles:
+        _check_section(values)
         return Beam(length, Section(**section))
     if len(positions) < 2 or positions[0] != 0.0 or positions[-1] != length or not np.all(
             np.less_equal(positions[:-1], positions[1:])):
         raise ParameterError('arm.profile.position must ascend from 0 to arm.length = '
                              f'{length:g} m, got {short(list(positions))}')
-    _same_length({f'arm.profile.{name}': values for name, values in
-                  {'position': positions, **profiles}.items()})
+    _same_length({'arm.profile.position': positions, **{
+        profile: values[profile] for _, _, profile in _SECTION if values.get(profile)}})
+    _check_section(values)
     return Beam(length, Section(**{**section, **profiles}), positions)
+
+
+def _each(values, name):
+    # The values of a section's property along the arm.
+    block = '' if name in _OF_MATERIAL else 'section.'
+    return values.get(f'arm.profile.{name}') or (values[f'arm.{block}{name}'],)
+
+
+# What parts of a shape take of its sizes: the part, the size, and how often.
+_PARTS = {'tube': (('wall', 'height', 2.0),),
+          'box': (('wall', 'height', 2.0), ('wall', 'width', 2.0)),
+          'i': (('wall', 'height', 2.0), ('web', 'width', 1.0))}
+
+
+def _check_section(values):
+    shape = values['arm.section.shape']
+    parts = _PARTS.get(shape, ())
+    for name in ('wall', 'web'):
+        given, needed = _each(values, name), name in [part for part, *_ in parts]
+        if (min(given) > 0.0) != needed:
+            raise ParameterError(f'arm.section.{name} must be {"> 0" if needed else "0"} with '
+                                 f'arm.section.shape = {shape}, got {given[0]:g}')
+    for part, size, count in parts:  # linear in between: what fits at positions fits everywhere
+        given, room = np.array(_each(values, part)), np.array(_each(values, size)) / count
+        if (given > room).any():
+            raise ParameterError(f'arm.section.{part} must be at most {min(room):g} m for '
+                                 f'arm.section.{size}, got {max(given):g}')
 
 
 def _drive(values):
@@ -534,8 +578,7 @@ def check_finite(scene: Scene) -> None:
 
 def find_implausible(values: Mapping[str, Any]) -> str | None:
     """Return a warning about implausible values, which marks those that are defaults, or None."""
-    def each(name):
-        return values.get(f'arm.profile.{name}') or (values[f'arm.{name}'],)
+    each = partial(_each, values)
 
     def with_value(name, unit):
         default = ' (the default)' * (values[name] == PARAMETERS[name].default)
@@ -563,7 +606,7 @@ def find_implausible(values: Mapping[str, Any]) -> str | None:
                      f'{with_value("arm.length", "m")} from its centre')
     if values['arm.length'] < _MIN_SLENDERNESS * height:
         found.append(f'arm.length = {values["arm.length"]:g} m is less than '
-                     f'{_MIN_SLENDERNESS:g} times arm.height = {height:g} m')
+                     f'{_MIN_SLENDERNESS:g} times arm.section.height = {height:g} m')
     angle = values['initial.shaft']
     if abs(angle) > 2.0 * math.pi:
         found.append(f'initial.shaft = {angle:g} rad is more than a turn; in degrees it would be '
@@ -616,7 +659,7 @@ def number_of(name: str, scene: Scene, others: str = '',
 
 def _split_index(name):
     match = _INDEXED.fullmatch(name)
-    return (match.group(1), int(match.group(2))) if match else (name, None)
+    return (match.group(1), int(match.group(2))) if match else (today(name), None)
 
 
 def initial_names(scene: Scene) -> list[str]:

@@ -177,7 +177,7 @@ class Batch:
         self.n, self._lock = len(self.scenes), threading.Lock()
         _check(self.scenes)
         self._models = [scene.build() for scene in self.scenes]
-        self._straight = np.array([[scene.manipulator.arm.length, 0.0] for scene in self.scenes])
+        self._straight = np.array([[model.tip_point.lever[0], 0.0] for model in self._models])
         self._initial = np.array([scene.initial_motion() for scene in self.scenes])
         self._at_start = self._states_of(self._initial, np.ones(self.n, dtype=bool))
         self._needed = {each.needs: np.array([scene.values[each.needs] for scene in self.scenes])
@@ -344,7 +344,8 @@ def lane_size(scene: Scene) -> dict[str, Any]:
     values = scene.values
     return {**{name: values[name] for name in (
         'model.formulation', 'model.axial_modes', 'model.modes', 'integrator.step',
-        'carrier.held', 'motor.shaft')}, 'push.position > 0': values['push.position'] > 0.0,
+        'carrier.held', 'motor.shaft')},
+        **{f'{name} > 0': values[name] > 0.0 for name in ('push.position', 'hub.radius')},
         'the number of nodes': len(scene.build().quadrature.nodes)}
 
 

@@ -64,13 +64,19 @@ class Joints:
 
     @property
     def root_moment(self) -> np.ndarray:
-        """Moment in the arm at its root, from the shaft's own balance (T45), shape (n,) [N m]."""
+        """Moment in the arm at its root by the balance of the shaft (T45), (T51), (n,) [N m]."""
         model = self._model
         if model.constrained[2]:
             torque = self._needed[:, 2]
         else:
             torque = self._applied[:, 2] - model.friction(self._motions)[:, 2]
-        return model.manipulator.shaft_inertia * self._accelerations[:, 2] - torque
+        moment = model.manipulator.shaft_inertia * self._accelerations[:, 2] - torque
+        if radius := model.manipulator.hub_radius:
+            # The force of the arm on the hub is what the carrier's own balance lacks.
+            x, y = (model.manipulator.base_mass * (self._accelerations[:, :2] - model.gravity)
+                    - self._needed[:, :2]).T
+            moment = moment - radius * rotate(-self._motions[:, 2], x, y)[1]
+        return moment
 
     @property
     def root_strain(self) -> np.ndarray:
@@ -292,5 +298,5 @@ class Snapshot:
 
     @property
     def length(self) -> float:
-        """Length of the arm [m]."""
-        return self.model.manipulator.arm.length
+        """Distance of the tip of the straight arm from the shaft's axis [m]."""
+        return float(self.model.tip_point.lever[0])

@@ -79,7 +79,7 @@ class Plant(NamedTuple):
     """Constants of a model and of its start."""
 
     step: float  # [s]
-    length: float  # of the arm [m]
+    length: float  # from the shaft's axis to the tip of the straight arm [m]
     most_bent: float  # deflection beyond which a run counts as diverged [m]
     travel: Annotated[np.ndarray, 'modes']        # of the tip by each modal coordinate
     tip_rotation: Annotated[np.ndarray, 'modes']  # of the end effector by each
@@ -88,6 +88,8 @@ class Plant(NamedTuple):
     linear: Annotated[np.ndarray, 'state', 'state']  # L of the straight arm
     constrained: Annotated[np.ndarray, int, 3]  # whether carrier x, y and shaft are
     shaft_inertia: float  # [kg m2]
+    base_mass: float      # of carrier and motor [kg]
+    hub_radius: float     # [m]
     shaft_friction: Annotated[np.ndarray, 3]  # viscous; Coulomb and the speed of its build-up
     # Strain of the outer fibre at the root per moment there, modal coordinate and modal rate.
     strain_of_moment: float
@@ -276,6 +278,10 @@ def set_forces(tables, plant, instance):
     for joint in range(3):
         if plant.constrained[joint] != 0:
             out[16 + joint] = needed[joint] - out[16 + joint]
+    if plant.hub_radius != 0.0:  # less the moment of the shear force at the root
+        x = plant.base_mass * accelerations[0] - needed[0]
+        y = plant.base_mass * accelerations[1] - needed[1]
+        root -= plant.hub_radius * (cosine * y - sine * x)
     out[15] = plant.strain_of_moment * root
     for n in range(len(plant.travel)):
         out[15] += (plant.strain_of_modes[n] * motion[3 + n]

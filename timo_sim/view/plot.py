@@ -27,7 +27,7 @@ from timo_sim.view.track import body_of, Floor, floor_of, FPS, Track
 
 # Okabe and Ito's colours, which colour-blind readers tell apart.
 COLOURS = '#0072b2', '#d55e00', '#009e73', '#cc79a7', '#e69f00', '#56b4e9'
-_ARMS, _POINTS = 8, 41  # shapes of the arm that are drawn, and points of each
+_ARMS = 8  # shapes of the arm that are drawn
 _FREQUENCIES = 4000
 _GREY = '0.5'
 
@@ -57,8 +57,7 @@ def plot(run: Any) -> Figure:
                               loc='lower right', bbox_to_anchor=(1.0, 1.0), borderaxespad=0.0)
     axes[[*curves][-1]].set(xlabel='time [s]')
 
-    xi = np.linspace(0.0, length, _POINTS)
-    shapes = run.position(xi)
+    shapes = run.model.shape(run.values)
     axes['plane'].plot(*shapes[:, -1].T, color=COLOURS[5], linewidth=0.8, label='path of the tip')
     picked = np.unique(np.linspace(0, len(run.t) - 1, _ARMS).astype(int))
     for number, k in enumerate(picked):
@@ -135,7 +134,7 @@ def bode(model: Any) -> Figure:
     return figure
 
 
-_MOST_SHAPES, _AMPLITUDE = 6, 0.15  # drawn; largest displacement in arm lengths
+_MOST_SHAPES, _POINTS, _AMPLITUDE = 6, 41, 0.15  # drawn; of each; largest displacement [lengths]
 
 
 def shapes(vibrations: Any) -> Figure:

@@ -24,7 +24,7 @@ from timo_sim.simulation.energy import integral, work
 from timo_sim.simulation.loads import pieces
 
 FPS = Parameter('--fps', 30.0, 'Hz', 'frames', low=0.0, high=1e6, open_low=True)
-_POINTS = 41     # of the centre line that is drawn
+_POINTS = 41     # of the line that is drawn of a bag
 _BLOCK = 1024    # samples that are computed at once: their arrays stay in the processor's cache
 _BESIDE = 0.08   # from the carrier to the arrow of gravity, and its length, in arm lengths
 
@@ -36,7 +36,7 @@ class TrackError(ValueError):
 class Body(NamedTuple):
     """Sizes of what is drawn [m]; a cube, cylinder and ball with their masses in arm material."""
 
-    length: float
+    length: float       # from the shaft's axis to the tip of the straight arm
     thickness: float
     carrier: float
     motor: float
@@ -46,7 +46,7 @@ class Body(NamedTuple):
 class Poses(NamedTuple):
     """Places at m times, in world axes."""
 
-    line: np.ndarray    # centre line from root to tip, (m, p, 2) [m]
+    line: np.ndarray    # from the shaft's axis to the tip, (m, p, 2) [m]
     shaft: np.ndarray   # (m,) [rad]
 
 
@@ -148,9 +148,8 @@ def track_of_motion(name: str, scene: Scene, ns: np.ndarray, motion: np.ndarray,
     efforts do not contain.
     """
     formulation, half = scene.build(), motion.shape[1] // 2
-    length, modal = scene.manipulator.arm.length, motion[:, 3:half]
-    line, tip = formulation.at(np.linspace(0.0, length, _POINTS)), formulation.at([length])
-    bend = _in_blocks(formulation.centre_line, modal, tip)[:, 0] - [length, 0.0]
+    modal, tip = motion[:, 3:half], formulation.tip_point
+    bend = _in_blocks(formulation.centre_line, modal, tip)[:, 0] - [tip.lever[0], 0.0]
     traces = [
         Trace('tip_deflection', ('w',), ns, bend[:, 1:]),
         Trace('tip_axial', ('u',), ns, bend[:, :1]),
@@ -180,7 +179,7 @@ def track_of_motion(name: str, scene: Scene, ns: np.ndarray, motion: np.ndarray,
         traces.append(Trace('energy', ('energy',), ns, stored[:, np.newaxis]))
 
     def poses(part):
-        return Poses(formulation.world(motion[part], line), motion[part, 2])
+        return Poses(formulation.shape(motion[part]), motion[part, 2])
 
     note = (f'formulation `{scene.values["model.formulation"]}`, {scene.values["model.modes"]} '
             f'modes, step {1e3 * scene.step:g} ms; {_span(ns)}. The shape of the arm is that of '
@@ -211,8 +210,9 @@ def body_of(scene: Scene) -> Body:
         return float(np.clip((mass / density / shape)**(1 / 3), 0.02 * arm.length,
                              0.1 * arm.length))
 
-    return Body(arm.length, float(np.max(arm.section.height)), size(body.carrier_mass, 1.0),
-                size(body.motor_mass, np.pi / 4), size(body.end_effector_mass, np.pi / 6))
+    return Body(body.hub_radius + arm.length, float(np.max(arm.section.height)),
+                size(body.carrier_mass, 1.0), size(body.motor_mass, np.pi / 4),
+                size(body.end_effector_mass, np.pi / 6))
 
 
 def _of_bag(recording, name, joints):
