@@ -20,11 +20,12 @@ from rclpy.parameter_service import ParameterService
 from rclpy.subscription import Subscription
 from std_srvs.srv import SetBool, Trigger
 
-from timo_sim.log.write import CHANGE, change_note, RESET, start_note
+from timo_sim.log.write import (
+    CHANGE, change_note, DESCRIPTION, description, RESET, scene_message, start_note, TEXT)
 from timo_sim.ros.diagnostics import Health
 from timo_sim.ros.loop import Loop, StateError
 from timo_sim.ros.parameters import ParameterNode, steps_between_messages
-from timo_sim.ros.topics import Commands, LateOutlet, MotionOutlet, RunLog
+from timo_sim.ros.topics import Commands, LateOutlet, Latched, MotionOutlet, RunLog
 from timo_sim.runs.simulate import resolve
 from timo_sim.scene.parameters import (
     changed, frame_names, LATEST, ParameterError, PARAMETERS, SCENE)
@@ -76,6 +77,8 @@ class SimNode(ParameterNode):
             if self._live.warning:
                 self.get_logger().warning(self._live.warning)
         self._loop.configure(values, steps_each)
+        self._description = Latched(self, DESCRIPTION, TEXT, values['publish_tf'])
+        self._scene_topic = Latched(self, '~/scene', TEXT)
         self.declare(values, self._on_parameters)
         self._parameter_services = ParameterService(self)
         self._offer_services()
@@ -92,9 +95,8 @@ class SimNode(ParameterNode):
             if self._values['publish_arm_shape']:
                 from timo_sim.ros.arm_shape import ArmShape
                 outlets.append(ArmShape(self, self._simulator.model, self._frames['world']))
-            if self._values['publish_tf']:
-                outlets.append(MotionOutlet(self, TRANSFORMS, self._frames))
-                outlets[-1].logged = False
+            outlets.append(MotionOutlet(
+                self, TRANSFORMS, self._frames, self._values['publish_tf']))
         except ModuleNotFoundError as error:
             name = 'publish_tf' if error.name == 'tf2_msgs' else 'publish_arm_shape'
             package = str(error.name).replace('_', '-')
@@ -121,13 +123,18 @@ class SimNode(ParameterNode):
 
     def open(self) -> None:
         """Open the log and publish the initial state, before any callback can change it."""
+        outlets = [*self._outlets, self._health.outlet, self._description]
+        self._channels = [*self._commands.channels, *(outlet.channel for outlet in outlets)]
         if self._values['record']:
             self._log.open(
-                self._values['record_file'], self._commands.channels,
-                [*self._outlets, self._health.outlet],
+                self._values['record_file'], self._commands.channels, outlets,
                 start_note(self.get_fully_qualified_name(), self._values, changed(self._values),
-                           self._simulator.scene))
+                           self._simulator.scene), self._values['record_time'] == 'wall')
         self._loop.check_subscribers()
+        for outlet in self._scene_topic, self._description:
+            outlet.check_subscribers()
+        self._tell_scene('start', self._values)
+        self._description.send(description(self._simulator.scene, self._frames), 0, 0)
         self._loop.publish()
         # After publishing, because rclpy's first log line in a process takes a tenth of a second.
         self.get_logger().info(
@@ -191,6 +198,12 @@ class SimNode(ParameterNode):
             if of_scene:
                 self._simulator.change(scene)
                 self._log.note(CHANGE, change_note(self.steps, of_scene))
+                self._tell_scene('set', values)
+
+    def _tell_scene(self, event, values):
+        """Publish parameters, so that a bag of the node can be replayed as its log can."""
+        self._scene_topic.send(scene_message(
+            event, self.steps, self.get_fully_qualified_name(), self._channels, values), 0, 0)
 
     @property
     def paused(self) -> bool:
@@ -213,6 +226,7 @@ class SimNode(ParameterNode):
         with self._lock:
             self._loop.reset()
             self._log.note(RESET, {'step': str(self.steps)})
+            self._tell_scene('reset', self._values)
             self._loop.restart()
             return f'reset at step {self.steps}'
 
