@@ -10,23 +10,27 @@
 
 from functools import partial
 
+from mcap.reader import make_reader
 from mcap.writer import Writer
 import numpy as np
 import pytest
 from rcl_interfaces.srv import SetParameters
 from rclpy.parameter import Parameter
 from rclpy.qos import DurabilityPolicy, QoSProfile
+from ros_process import replayed
 from rosbags.typesys import get_typestore, Stores
 from sensor_msgs.msg import JointState
 from std_msgs.msg import Float64, String
 from std_srvs.srv import Trigger
 
+from timo_sim.log.info import info
 from timo_sim.log.read import LogError
 from timo_sim.log.tables import Recording
 from timo_sim.runs.replay import open_log, replay
 
-TORQUE, STATES, SCENE = '/timo_sim/motor_torque', '/joint_states', '/timo_sim/scene'
-TOPICS = {TORQUE: Float64, STATES: JointState, '/timo_sim/modal_state': JointState, SCENE: String}
+TORQUE, EFFORT = '/timo_sim/motor_torque', '/timo_sim/joint_command'
+STATES, SCENE = '/joint_states', '/timo_sim/scene'
+TOPICS = {TORQUE: Float64, EFFORT: JointState, STATES: JointState, '/timo_sim/modal_state': JointState, SCENE: String}
 STORE = get_typestore(Stores.ROS2_JAZZY)
 
 
@@ -67,18 +71,25 @@ def stamp(state):
     return state.header.stamp.sec + 1e-9 * state.header.stamp.nanosec
 
 
+def step_of(data):
+    """Return the time step [ms] of a serialised state."""
+    return round(1000.0 * stamp(STORE.deserialize_cdr(data, 'sensor_msgs/msg/JointState')))
+
+
 def test_a_bag_in_lock_step_is_replayed_to_the_last_bit_with_its_reset_and_settings(
         start, client, tmp_path):
     """A controller answers each state; the bag has scene, commands, a reset and a heavier tip."""
     node = start(sync='wait', sync_period=0.002, **{'rate.modal_state': 500.0})
     recorder, seen = Recorder(client), []
-    torque = client.command(Float64, TORQUE)
+    command = client.command(JointState, EFFORT)
     reset = client.service(Trigger, '/timo_sim/reset')
     change = client.service(SetParameters, '/timo_sim/set_parameters')
 
     def control(state):
         seen.append(state)
-        torque.publish(Float64(data=3.0 * np.cos(40.0 * stamp(state)) - state.velocity[2]))
+        command.publish(JointState(
+            header=state.header, name=['shaft', 'carrier_x'],
+            effort=[3.0 * np.cos(40.0 * stamp(state)) - state.velocity[2], -state.velocity[0]]))
 
     client.create_subscription(JointState, STATES, control, 100)
     client.wait(lambda: len(seen) > 100, 'states')
@@ -95,8 +106,8 @@ def test_a_bag_in_lock_step_is_replayed_to_the_last_bit_with_its_reset_and_setti
     # The log of the node says which commands acted, and from which step on.
     ours, theirs = Recording(bag), Recording(node.log)
     acting, sent = ({tuple(each): value for *each, value in zip(
-        series.step, series.resets, series.values[:, 0])} for series in (
-            theirs.topics['~/motor_torque'], ours.topics['~/motor_torque']))
+        series.step, series.resets, series.data)} for series in (
+            theirs.topics['~/joint_command'], ours.topics['~/joint_command']))
     assert len(acting) > 250 and acting.items() <= sent.items()
     assert ours.changes == theirs.changes and ours.changes[0][2] == {'end_effector.mass': 4.0}
     assert ours.resets.tolist() == theirs.resets.tolist()
@@ -112,8 +123,12 @@ def test_a_bag_in_lock_step_is_replayed_to_the_last_bit_with_its_reset_and_setti
 
 
 def test_a_bag_of_a_free_run_has_its_commands_and_their_time_outs(start, client, tmp_path):
-    """They act within some milliseconds of the step at which they did; no message says which."""
-    node = start(command_timeout=0.2)
+    """
+    They act within some milliseconds of the step at which they did; no message says which.
+
+    The log of the node says it, here with the wall times that the bag has, too.
+    """
+    node = start(command_timeout=0.2, record_time='wall')
     recorder, seen = Recorder(client), []
     torque = client.command(Float64, TORQUE)
     client.create_subscription(JointState, STATES, seen.append, 100)
@@ -130,3 +145,13 @@ def test_a_bag_of_a_free_run_has_its_commands_and_their_time_outs(start, client,
     assert end - begin == 200
     # On a busy machine the message may come late; the states around it bound its time.
     assert abs(begin - ours) < 100
+
+    assert any('same to the last bit' in line for line in replayed(node.log))
+    assert '  wall time 0 to ' in '\n'.join(info(node.log))
+    with open(node.log, 'rb') as stream:
+        logged = {(channel.topic, message.sequence): message.log_time
+                  for _, channel, message in make_reader(stream).iter_messages()}
+    received = {(STATES, step_of(data)): received for received, _, topic, data in recorder.messages
+                if topic == STATES}
+    late = [1e-9 * (received[key] - logged[key]) for key in received]
+    assert len(late) > 20 and max(map(abs, late)) < 60.0 and np.median(np.abs(late)) < 1.0

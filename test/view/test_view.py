@@ -105,6 +105,29 @@ def test_tip_and_centre_line_are_drawn_where_they_are(run, shown, tmp_path):
     assert np.linalg.norm(straight - project(LENGTH)) > 10.0
 
 
+def test_the_viewer_itself_draws_a_log_with_a_bent_arm(tmp_path, monkeypatch):
+    """URDF and frames are in the log; a line that is straight is so in perspective, too."""
+    scene = timo_sim.load_scene({
+        'initial.shaft': 0.5, 'initial.modal_coordinates': [1.2, 0.0, 0.0]})
+    run = timo_sim.simulate(scene, 0.1, sample_every=10, estimate=False)
+    bend = run.deflection(LENGTH)[0]
+    assert np.allclose(bend, [-0.15, 0.69], atol=0.01)  # [m]
+    monkeypatch.setattr(rerun, '_TIMELINE', 'message_log_time')
+    picture(run.save(tmp_path / 'run.mcap'), tmp_path / 'run.png', 0.0, view='/')
+    red, _, blue = np.moveaxis(255.0 * imread(tmp_path / 'run.png')[..., :3], -1, 0)
+    tip = np.argwhere(red > blue + 60.0).mean(axis=0)[::-1]  # x to the right, y downward
+    arm = np.argwhere(blue > red + 40.0)[:, ::-1]
+    assert np.linalg.norm(arm - tip, axis=1).min() < 2.0
+
+    # Between the carrier, which covers the root, and the tip the arm hangs through.
+    left = np.min(arm[:, 0]) + 0.3 * (tip[0] - np.min(arm[:, 0]))
+    begin, middle = (arm[np.abs(arm[:, 0] - x) < 1.0].mean(axis=0)
+                     for x in (left, 0.5 * (left + tip[0])))
+    chord, way = tip - begin, middle - begin
+    sag = (chord[0] * way[1] - chord[1] * way[0]) / np.hypot(*chord)
+    assert 0.04 < sag / np.hypot(*chord) < 0.2
+
+
 def test_an_animation_shows_the_arm_where_it_is(run, tmp_path):
     animate([track_of_run(run)], tmp_path / 'run.gif', 10.0)
     frames = Image.open(tmp_path / 'run.gif')

@@ -37,8 +37,8 @@ from mcap.writer import MCAP0_MAGIC
 import zstandard
 
 from timo_sim.log.write import (
-    CHANGE, Chunk, CHUNK_SIZE, HEAD, MESSAGE_OPCODE, numbered, printable, RESET, START, SUMMARY,
-    sync, Writer)
+    CHANGE, Chunk, CHUNK_SIZE, HEAD, in_wall_time, MESSAGE_OPCODE, numbered, printable, RESET,
+    START, SUMMARY, sync, Writer)
 from timo_sim.scene.files import whole_file
 
 _LARGEST_CHUNK = 64 * 1024 * 1024      # [B] uncompressed
@@ -287,7 +287,7 @@ class _Reader:
         self._stream, self.profile = stream, 'ros2'
         self.size = os.fstat(stream.fileno()).st_size
         self.place, self.lost, self.faults, self.count = len(MCAP0_MAGIC), 0, 0, 0
-        self.earliest, self.latest, self.sent, self.left_out = math.inf, 0, 0, 0
+        self.earliest, self.latest, self.left_out = math.inf, 0, 0
         self.damage: str | None = None
 
     def records(self) -> Iterator[Schema | Channel | Metadata | Chunk]:
@@ -303,7 +303,6 @@ class _Reader:
                 self.count += 1
                 self.earliest = min(self.earliest, log_time)
                 self.latest = max(self.latest, log_time)
-                self.sent = max(self.sent, publish_time)
                 chunk.add(channel, sequence, log_time, publish_time, record[_MESSAGE.size:])
                 if len(chunk.data) < CHUNK_SIZE:
                     continue
@@ -398,9 +397,11 @@ def recover(file: Path | str, output: Path | str | None = None) -> str:
         # The file is read twice, because most files are complete, and some are no logs.
         reader, empty, own = _Reader(stream), True, False
         for record in reader.records():
-            empty, own = False, own or isinstance(record, Metadata) and record.name == START
+            empty = False
+            own = own or (isinstance(record, Metadata) and record.name == START
+                          and not in_wall_time(record.metadata))
         contents = f'{reader.count} messages ' + (
-            f'until sim time {1e-9 * reader.sent:.3f} s' if own else
+            f'until sim time {1e-9 * reader.latest:.3f} s' if own else
             # Log times of a bag are those of a wall clock.
             f'within {1e-9 * max(0, reader.latest - reader.earliest):.3f} s')
         if not reader.damage:

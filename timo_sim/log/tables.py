@@ -25,7 +25,7 @@ import numpy as np
 from timo_sim.extras import optional
 from timo_sim.log.read import files_of, LogError, LogFile
 from timo_sim.log.write import (
-    Chunk, information, original_names, printable, RESET, TEXT, yaml_text)
+    Chunk, in_wall_time, information, original_names, printable, RESET, TEXT, yaml_text)
 from timo_sim.scene.files import whole_file
 from timo_sim.scene.parameters import (
     frame_names, ParameterError, PARAMETERS, SCENE, SPLIT)
@@ -226,7 +226,7 @@ class Recording:
         twice = Counter((part, about[0]) for (part, _), about in found.items()).most_common(1)
         if twice and twice[0][1] > 1:
             raise LogError(f'{self.title} has two channels of {twice[0][0][1]}')
-        collectors = {about: _Collector(*about, self.frames, bool(self.facts))
+        collectors = {about: _Collector(*about, self.frames, self.of_scene is not None)
                       for about in found.values()}
         for part, file in enumerate(self.parts):
             resets = 0
@@ -344,8 +344,10 @@ class Recording:
                 array[order] for array in (sequence, log_ns, ns, values, messages))
             found = np.searchsorted(self.of_scene, log_ns, 'right')
             if collector.command:
-                sequence[:] = 0
+                sequence[:] = 0  # those of the recorder
                 ns = np.rint(1e9 * self.scene.step * self._steps_of_commands(log_ns, found))
+        elif collector.command and in_wall_time(self.facts):
+            ns = np.rint(1e9 * self.scene.step * sequence)
         if self.facts:
             # In lock step, the stamp of the first state differs from its time by some ns.
             step = np.rint(1e-9 * ns / self.scene.step).astype(np.int64)
@@ -382,10 +384,10 @@ class Recording:
         if self._clock is None:
             raise self.lacks(f'states of {self.name}, between which its commands came')
         if self.period:
-            # A command answers the state that was published last.
+            # A command answers the state that was published last, after a reset any one.
             published, ns = self._clock
             answered = ns[np.maximum(np.searchsorted(published, sent, 'right') - 1, 0)]
-            step = np.rint(1e-9 * answered / self.scene.step) // self.period * self.period
+            step = np.ceil(np.rint(1e-9 * answered / self.scene.step) / self.period) * self.period
         else:
             step = np.ceil(1e-9 * self._sim_time(sent) / self.scene.step - 1e-6)
         bounds = np.concatenate([[0], self.resets, [np.iinfo(np.int64).max]])

@@ -100,6 +100,11 @@ def _plain(values):
             for name, value in values.items()}
 
 
+def in_wall_time(facts: dict[str, str]) -> bool:
+    """Return whether the times of messages in a log are those of the wall clock."""
+    return '"record_time": "wall"' in facts.get('parameters', '')
+
+
 def original_names(facts: dict[str, str]) -> dict[str, str]:
     """Return the names of topics before they were remapped, by topic; {} if a log has none."""
     try:
@@ -322,8 +327,8 @@ class Recorder:
     up other threads, and gives them to the operating system at least every `FLUSH_PERIOD`. If that
     fails or takes longer than `GIVE_UP_AFTER`, or another program deletes, cuts or writes to the
     file, `error` says so and later messages are dropped; `warning` says that the file has been
-    moved or the disk is slow. Publish times are sim time, and so are log times unless they are
-    `wall` time. Raises OSError if the file cannot be made.
+    moved or the disk is slow. Times in the file are sim time, or `wall` time. Raises OSError if
+    the file cannot be made.
     """
 
     def __init__(self, path: Path | str, channels: list[Channel],
@@ -369,9 +374,9 @@ class Recorder:
         """Log a message, CDR, of a channel at a step and its stamp, sim time [ns]."""
         if self.error is not None:
             return
+        logged = time.time_ns() if self._wall else stamp
         with self._lock:
-            self._chunk.add(index + 1, step & 0xffffffff,
-                            time.time_ns() if self._wall else stamp, stamp, data)
+            self._chunk.add(index + 1, step & 0xffffffff, logged, logged, data)
             if len(self._chunk.data) < CHUNK_SIZE:
                 return
         self._pass_on()
@@ -460,7 +465,7 @@ class NewLog(Recorder):
 
     def __init__(self, path: Path | str, scene: Scene, values: dict[str, Any],
                  node: str = '/timo_sim', **notes: str) -> None:
-        namespace = node.rpartition('/')[0]
+        namespace, values = node.rpartition('/')[0], {**values, 'record_time': 'sim'}
         channels = [Channel(node + command.name[1:], command.type_name) for command in COMMANDS]
         self._topics: dict[str, tuple] = {}
         frames = frame_names(values)
