@@ -45,7 +45,6 @@ import numpy as np
 import yaml
 
 from timo_sim.scene.parameters import changed, frame_names
-from timo_sim.scene.urdf import urdf_of
 from timo_sim.topics.cdr import pack, schema_text, Serializer, TYPE_HASHES
 from timo_sim.topics.commands import COMMANDS
 from timo_sim.topics.outputs import in_frames, outputs, TRANSFORMS
@@ -457,6 +456,7 @@ class Recorder:
 
 def description(scene: Scene, frames: dict[str, str]) -> bytes:
     """Return the message with the URDF of a scene, with these names of frames."""
+    from timo_sim.scene.urdf import urdf_of
     return pack(TEXT, {'data': urdf_of(scene.manipulator, frames)})
 
 
