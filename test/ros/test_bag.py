@@ -30,7 +30,8 @@ from timo_sim.runs.replay import open_log, replay
 
 TORQUE, EFFORT = '/timo_sim/motor_torque', '/timo_sim/joint_command'
 STATES, SCENE = '/joint_states', '/timo_sim/scene'
-TOPICS = {TORQUE: Float64, EFFORT: JointState, STATES: JointState, '/timo_sim/modal_state': JointState, SCENE: String}
+TOPICS = {TORQUE: Float64, EFFORT: JointState, STATES: JointState, SCENE: String,
+          '/timo_sim/modal_state': JointState}
 STORE = get_typestore(Stores.ROS2_JAZZY)
 
 

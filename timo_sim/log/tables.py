@@ -14,6 +14,7 @@ import csv
 from dataclasses import dataclass
 from functools import cached_property
 import json
+from operator import index
 import os
 from pathlib import Path
 import shutil
@@ -51,11 +52,12 @@ class Series:
     The n messages of a topic, with `columns`, the names of k quantities with units.
 
     `step`, `ns` and `log_ns`, int64 of shape (n,), are time steps (-1 in a plain bag), sim time
-    and time at which it was logged, or published where the scene is known [ns]. In a plain bag, sim time is the stamp of the header, but
-    for commands, whose stamps mean nothing there, the sim time at their log time or, if that is
-    not known, log time. `values`, shape (n, k), are NaN for what a command does not set. Commands
-    that the node refused are left out and counted. `resets`, int64 of shape (n,), says how many
-    resets were before a message, -1 if that is not known. `data` are a command's messages, CDR.
+    and the time at which it was logged, or published in a bag with ~/scene [ns]. In a plain bag,
+    sim time is the stamp of the header, but for commands, whose stamps mean nothing there, the sim
+    time at their log time or, if that is not known, log time. `values`, shape (n, k), are NaN for
+    what a command does not set. Commands that the node refused are left out and counted. `resets`,
+    int64 of shape (n,), says how many resets were before a message, -1 if that is not known.
+    `data` are a command's messages, CDR.
     """
 
     topic: str
@@ -110,7 +112,7 @@ class Recording:
         self.resets = np.array(sorted(logged), dtype=np.int64)
         self._resets_in_order = self.resets.tolist() == logged
         self.name = node or self.facts.get('node') or self._find_node()
-        self.of_scene = None
+        self.of_scene: np.ndarray | None = None
         if not self.facts:
             self._read_scene()
         # If ros2_control publishes joint_states, the node publishes its own below its name.
@@ -143,16 +145,18 @@ class Recording:
             return
         try:
             told = [(sent, json.loads(layout(TEXT, data).texts[0])) for sent, data in sorted(told)]
-            steps = [int(message['step']) for _, message in told]
+            steps = [index(message['step']) for _, message in told]
             events = [message['event'] for _, message in told]
             values = [dict(message['parameters']) for _, message in told]
             self.facts = {name: value if isinstance(value, str) else json.dumps(value)
                           for name, value in told[0][1].items()}
-        except (CdrError, IndexError, KeyError, TypeError, ValueError, RecursionError):
+            if not 0 <= min(steps) <= max(steps) < 10**18:
+                raise ValueError
+        except (CdrError, LookupError, TypeError, ValueError, RecursionError):
             raise LogError(f'{self.title} has a malformed message on {self.name}/scene') from None
         if events.count('start') > 1:
-            raise LogError(f'{self.title} has {events.count("start")} runs of {self.name}: cut the '
-                           'bag, so that each part has one')
+            raise LogError(f'{self.title} has {events.count("start")} runs of {self.name}: cut '
+                           'the bag, so that each part has one')
         resets = [k for k, event in enumerate(events) if event == 'reset']
         self.resets = np.array([steps[k] for k in resets], dtype=np.int64)
         self.of_scene = np.array([told[k][0] for k in resets], dtype=np.int64)

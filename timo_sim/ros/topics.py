@@ -59,7 +59,7 @@ class Outlet:
     def __init__(self, node, topic, type_name, publishes=True):
         self.subscribed, self._joined = False, -math.inf
         self.recorder, self.index = None, None
-        self._publisher = None
+        self._publisher: Publisher | None = None
         self.channel = Channel(node.resolve_topic_name(topic), type_name, topic,
                                durability=self.durability.name.lower())
         if publishes:
@@ -90,7 +90,7 @@ class Outlet:
 
     def send(self, data: bytes, step: int, nanoseconds: int, again: bool = False) -> None:
         """Send a message to subscribers and, unless `again`, log its step and sim time [ns]."""
-        if self.subscribed:
+        if self._publisher and self.subscribed:
             self._publisher.publish(data)
         if self.recorder is not None and not again:
             self.recorder.write(self.index, step, nanoseconds, data)

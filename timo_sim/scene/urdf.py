@@ -32,7 +32,7 @@ def urdf_of(body: Manipulator, frames: Mapping[str, str]) -> str:
     for key, elements in (('name', robot.findall('link')), ('link', robot.iter('parent')),
                           ('link', robot.iter('child'))):
         for element in elements:
-            element.set(key, renamed(element.get(key), frames))
+            element.set(key, renamed(element.get(key, ''), frames))
     text = ElementTree.tostring(robot, 'unicode')
     return '<?xml version="1.0"?>\n' + text.replace(' />', '/>')
 
