@@ -28,8 +28,7 @@ from timo_sim.log.read import files_of, LogError, LogFile
 from timo_sim.log.write import (
     Chunk, in_wall_time, information, original_names, printable, RESET, TEXT, yaml_text)
 from timo_sim.scene.files import whole_file
-from timo_sim.scene.parameters import (
-    frame_names, ParameterError, PARAMETERS, SCENE, SPLIT)
+from timo_sim.scene.parameters import frame_names, ParameterError, PARAMETERS, SPLIT
 from timo_sim.scene.scene import load_scene
 from timo_sim.topics.cdr import CdrError, layout
 from timo_sim.topics.commands import COMMANDS, LARGEST_COMMAND, RefusedError
@@ -147,7 +146,7 @@ class Recording:
             told = [(sent, json.loads(layout(TEXT, data).texts[0])) for sent, data in sorted(told)]
             steps = [index(message['step']) for _, message in told]
             events = [message['event'] for _, message in told]
-            values = [dict(message['parameters']) for _, message in told]
+            given = [dict(message['set']) for _, message in told]
             self.facts = {name: value if isinstance(value, str) else json.dumps(value)
                           for name, value in told[0][1].items()}
             if not 0 <= min(steps) <= max(steps) < 10**18:
@@ -160,12 +159,8 @@ class Recording:
         resets = [k for k, event in enumerate(events) if event == 'reset']
         self.resets = np.array([steps[k] for k in resets], dtype=np.int64)
         self.of_scene = np.array([told[k][0] for k in resets], dtype=np.int64)
-        self.changes = [
-            (steps[k], sum(reset <= k for reset in resets), {
-                name: value for name, value in values[k].items()
-                if value != values[k - 1].get(name) and name in PARAMETERS
-                and PARAMETERS[name].scope == SCENE})
-            for k, event in enumerate(events) if event == 'set' and k]
+        self.changes = [(steps[k], sum(reset <= k for reset in resets), given[k])
+                        for k, event in enumerate(events) if event == 'set' and k]
 
     @property
     def repeats(self) -> bool:

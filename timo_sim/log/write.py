@@ -77,14 +77,16 @@ def names_note(channels: list) -> dict[str, str]:
     return {'topics': _json({channel.topic: channel.name for channel in channels})}
 
 
-def scene_message(event: str, step: int, node: str, channels: list, values: dict) -> bytes:
+def scene_message(event: str, step: int, node: str, channels: list, values: dict,
+                  given: dict) -> bytes:
     """
     Return what ~/scene says of an event at a step, JSON in a serialised message.
 
-    The event is a start, reset or set; `values` are the node's parameters from this step on.
+    The event is a start, a reset, or that the values `given` were set, as in `change_note`;
+    `values` are the node's parameters from this step on.
     """
     return pack(TEXT, {'data': json.dumps({
-        'event': event, 'step': step, 'node': node, **_environment(),
+        'event': event, 'step': step, 'set': _plain(given), 'node': node, **_environment(),
         'topics': {channel.topic: channel.name for channel in channels},
         'parameters': _plain(values)}, indent=1)})
 

@@ -198,12 +198,13 @@ class SimNode(ParameterNode):
             if of_scene:
                 self._simulator.change(scene)
                 self._log.note(CHANGE, change_note(self.steps, of_scene))
-                self._tell_scene('set', values)
+                self._tell_scene('set', values, of_scene)
 
-    def _tell_scene(self, event, values):
+    def _tell_scene(self, event, values, given=None):
         """Publish parameters, so that a bag of the node can be replayed as its log can."""
         self._scene_topic.send(scene_message(
-            event, self.steps, self.get_fully_qualified_name(), self._channels, values), 0, 0)
+            event, self.steps, self.get_fully_qualified_name(), self._channels, values,
+            given or {}), 0, 0)
 
     @property
     def paused(self) -> bool:
