@@ -140,7 +140,7 @@ def test_a_bag_of_a_free_run_has_its_commands_and_their_time_outs(start, client,
     assert node.end()[0] == 0
     bag, lines = recorder.write(tmp_path / 'bag.mcap'), []
     assert replay(bag, output=tmp_path / 'again.mcap', show=lines.append), lines
-    assert '2 commands and 0 resets' in lines[0]
+    assert '2 commands and 0 resets' in lines[0] and 'compared' in lines[1], lines
     begin, end = Recording(tmp_path / 'again.mcap').topics['~/motor_torque'].step
     ours, _ = Recording(node.log).topics['~/motor_torque'].step
     assert end - begin == 200

@@ -344,7 +344,7 @@ class Recording:
             found = np.searchsorted(self.of_scene, log_ns, 'right')
             if collector.command:
                 sequence[:] = 0  # those of the recorder
-                ns = np.rint(1e9 * self.scene.step * self._steps_of_commands(log_ns, found))
+                ns = np.rint(1e9 * self.scene.step * self._steps_of_commands(log_ns, ns, found))
         elif collector.command and in_wall_time(self.facts):
             ns = np.rint(1e9 * self.scene.step * sequence)
         if self.facts:
@@ -378,14 +378,21 @@ class Recording:
         return Series(collector.topic, collector.columns, step, ns, log_ns, values,
                       collector.refused, resets, messages.tolist() if collector.command else [])
 
-    def _steps_of_commands(self, sent, resets):
-        """Return the steps from which commands of a bag act, by the times they were sent [ns]."""
+    def _steps_of_commands(self, sent, stamps, resets):
+        """
+        Return the steps from which commands of a bag act.
+
+        That is by the times at which they were sent and, in lock step, by their stamps [ns] of the
+        states that they answer, 0 if they have none.
+        """
         if self._clock is None:
             raise self.lacks(f'states of {self.name}, between which its commands came')
         if self.period:
             # A command answers the state that was published last, after a reset any one.
             published, ns = self._clock
             answered = ns[np.maximum(np.searchsorted(published, sent, 'right') - 1, 0)]
+            if self.own('sync') == 'wait':
+                answered = np.where(stamps, stamps, answered)
             step = np.ceil(np.rint(1e-9 * answered / self.scene.step) / self.period) * self.period
         else:
             step = np.ceil(1e-9 * self._sim_time(sent) / self.scene.step - 1e-6)
@@ -437,12 +444,13 @@ class _Collector:
     """
     Gathers the messages of a topic as arrays; `frames` are the names of frames in commands.
 
-    Their times are those at which they were `published`, else those at which they were logged.
+    Of a bag with ~/scene (`in_bag`), times are those at which they were published, with the stamps
+    of commands, else those at which they were logged.
     """
 
-    def __init__(self, name, topic, type_name, frames, published):
+    def __init__(self, name, topic, type_name, frames, in_bag):
         self.name, self.topic, self.type_name = name, topic, type_name
-        self._frames, self._time = frames, 'publish_time' if published else 'log_time'
+        self._frames, self._in_bag = frames, in_bag
         self.command = _COMMANDS.get(name)
         self.columns = self.command.names if self.command else ()
         self.refused = 0
@@ -485,7 +493,8 @@ class _Collector:
 
     def _keep(self, numbers, resets, heads, found, rows):
         """Keep messages of one layout and their numbers in the file, for `arrays`."""
-        log_ns, messages = heads[self._time].astype(np.int64), np.empty(len(rows), object)
+        log_ns = heads['publish_time' if self._in_bag else 'log_time'].astype(np.int64)
+        messages = np.empty(len(rows), object)
         if self.command:
             kept, loads = [], []
             for number, row in enumerate(_doubles(rows, found.doubles).tolist()):
@@ -498,13 +507,11 @@ class _Collector:
                     self.refused += 1
             numbers, heads, log_ns, messages = (
                 array[kept] for array in (numbers, heads, log_ns, messages))
-            ns, values = log_ns, np.array(loads, dtype=float).reshape(-1, len(self.columns))
+            ns = _stamps(rows[kept], found) if self._in_bag else log_ns
+            values = np.array(loads, dtype=float).reshape(-1, len(self.columns))
         else:
             values = _doubles(rows, [found.doubles[place] for place in self._places])
-            first = found.stamps[0]
-            stamp = np.ascontiguousarray(rows[:, first:first + 8]).view('<i4')
-            # As int64 before the product, which NumPy 1.26 would take in 32 bits.
-            ns = NANOSECONDS * stamp[:, 0].astype(np.int64) + stamp[:, 1]
+            ns = _stamps(rows, found)
         self._parts.append((numbers, np.full(len(heads), resets),
                             heads['sequence'].astype(np.int64), log_ns, ns, values, messages))
 
@@ -527,6 +534,16 @@ def _message(data, place):
 def _gather(data, offsets, kind):
     """Return an element of the type `kind` from each of these offsets, shape (n,)."""
     return np.ndarray((len(data) - kind.itemsize + 1,), kind, data, strides=(1,))[offsets]
+
+
+def _stamps(rows, found):
+    """Return the first time in messages, rows of bytes of one Layout, or 0, (n,) [ns]."""
+    first = next(iter(found.stamps), None)
+    if first is None:
+        return np.zeros(len(rows), dtype=np.int64)
+    stamp = np.ascontiguousarray(rows[:, first:first + 8]).view('<i4')
+    # As int64 before the product, which NumPy 1.26 would take in 32 bits.
+    return NANOSECONDS * stamp[:, 0].astype(np.int64) + stamp[:, 1]
 
 
 def _doubles(rows, places):

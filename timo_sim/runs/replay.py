@@ -171,6 +171,7 @@ class Segment:
     logged: dict    # their numbers, shape (n, k), of topics that the log has
     replayed: dict = field(default_factory=dict)  # numbers of the replay at the samples
     done: dict = field(default_factory=dict)      # how many samples were replayed so far
+    timeouts: int = 0  # how many of `commands` are time-outs that a bag does not show
 
 
 def segments_of(recording: Recording, scene: Scene, values: Mapping[str, Any], start: float = 0.0,
@@ -256,9 +257,10 @@ def segments_of(recording: Recording, scene: Scene, values: Mapping[str, Any], s
                 at = np.arange(first, until[name] + 1)
                 samples[name] = at[(at % every == 0) | (at == first)]  # a reset is published
         inside.sort(key=lambda entry: entry[:2])
-        if recording.of_scene is not None:  # the log of a node has a message for each time-out
-            inside = _with_timeouts(inside, recording, scene, end)
         result.append(Segment(first, end, inside, changes, samples, logged))
+        if recording.of_scene is not None:  # the log of a node has a message for each time-out
+            result[-1].commands = _with_timeouts(inside, recording, scene, end)
+            result[-1].timeouts = len(result[-1].commands) - len(inside)
     return result
 
 
@@ -451,7 +453,8 @@ def _report(show, recording, segments, again, seconds):
     sim_time = simulator.steps * simulator.scene.step
     show(f'{recording.title}: {commands} commands and {len(segments) - 1} resets in '
          f'{sim_time:.6g} s of sim time, replayed in {seconds:.2f} s')
-    left = sum(len(series.ns) for series in recording.topics.values() if series.data) - commands
+    left = sum(len(series.ns) for series in recording.topics.values() if series.data) + sum(
+        segment.timeouts for segment in segments) - commands
     if left:
         show(f'{left} commands are left out, because they act after the end or a reset')
     refused = sum(series.refused for series in recording.topics.values())

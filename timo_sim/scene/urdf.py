@@ -9,22 +9,23 @@
 """The manipulator of a scene as a URDF, whose links are the frames of `topics.outputs`."""
 
 from collections.abc import Mapping
+from pathlib import Path
 from xml.etree import ElementTree
 
 import numpy as np
 
 from timo_sim.model.bodies import Manipulator, Quadrature
 from timo_sim.model.layout import LINKS
-from timo_sim.scene.files import shared_file
 from timo_sim.topics.outputs import renamed
 
+_PAPER = Path(__file__).with_name('timo_sim.urdf')
 _ALUMINIUM = 2710.0  # [kg/m3]; bodies are drawn with the volume of their mass in aluminium
 
 
 def urdf_of(body: Manipulator, frames: Mapping[str, str]) -> str:
     """Return the URDF of a Manipulator with these names of frames."""
     parser = ElementTree.XMLParser(target=ElementTree.TreeBuilder(insert_comments=True))
-    robot = ElementTree.parse(shared_file('urdf/timo_sim.urdf'), parser).getroot()
+    robot = ElementTree.parse(_PAPER, parser).getroot()
     for path, values in _numbers(body).items():
         next(robot.iterfind(path)).attrib.update({
             name: ' '.join(f'{number:.9g}' for number in numbers)

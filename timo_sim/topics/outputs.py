@@ -188,6 +188,10 @@ def _quaternion(z, w):
     return {'z': Number(z), 'w': Number(w)}
 
 
+def _frame_below(parent, child, **transform):
+    return {'header': _frame(parent), 'child_frame_id': child, 'transform': transform}
+
+
 _POSE = {
     'header': _frame('world'),
     'pose': {'position': _xy('x_m', 'y_m'),
@@ -254,10 +258,6 @@ def outputs(modes: int) -> list[Output]:
         Output('/clock', 'rosgraph_msgs/msg/Clock', lambda snapshot: (), {}),
         *_sensor_outputs(),
     ]
-
-
-def _frame_below(parent, child, **transform):
-    return {'header': _frame(parent), 'child_frame_id': child, 'transform': transform}
 
 
 # Frames follow from the motion above: replays neither need nor compare them.
