@@ -114,6 +114,11 @@ def test_a_bag_in_lock_step_is_replayed_to_the_last_bit_with_its_reset_and_setti
     assert ours.resets.tolist() == theirs.resets.tolist()
     assert open_log(bag).scene == theirs.scene
 
+    # A recorder that discovers a topic late misses its first messages.
+    for missed in [each for each in recorder.messages if each[2] == STATES][:40]:
+        recorder.messages.remove(missed)
+    assert replay(recorder.write(tmp_path / 'late.mcap'), show=lines.append), lines
+
     without = recorder.write(tmp_path / 'without.mcap', [STATES, '/timo_sim/modal_state'])
     with pytest.raises(LogError, match='has no states of /timo_sim, between which its commands'):
         replay(without, show=lines.append)

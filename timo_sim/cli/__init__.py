@@ -244,7 +244,8 @@ def recover(file: str, output: str | None) -> None:
 @_settings
 @click.option('--formulation', metavar='NAME', help='Short for --set model.formulation=NAME.')
 @click.option('--scene', type=click.Path(),
-              help='Parameter file to use instead of the recorded scene; a plain bag needs it.')
+              help='Parameter file to use instead of the recorded scene; a bag without '
+                   '~/scene needs it.')
 @click.option('--output', '-o', type=click.Path(), help=(
     'New log; by default FILE with _replay after its name in the working directory if anything '
     'is changed, else none. Never overwrites: _1, _2, ... is appended.'))
@@ -266,7 +267,7 @@ def replay(file: str, settings: tuple[str, ...], formulation: str | None, scene:
         timo_sim replay run.mcap
         timo_sim replay run.mcap --set model.modes=5 --formulation newton
 
-    A plain bag of commands needs the scene. Its commands act from the first time step at or after
+    A bag without ~/scene needs the scene. Its commands act from the first time step at or after
     their stamp. Stamps are sim time if the bag has one of the node's topics with sim time in its
     headers, else log time, counted from the first command, which acts at --start:
 
