@@ -38,7 +38,7 @@ setup(
         # The last two are for `colcon build --symlink-install`: it builds in a folder that has
         # links to setup.py, setup.cfg, the package and these files alone.
         ('share/timo_sim', ['package.xml', 'pyproject.toml', 'README.md']),
-        ('share/timo_sim/config', sorted(glob('config/*.yaml'))),
+        ('share/timo_sim/config', sorted(glob('config/*'))),
         ('share/timo_sim/launch', sorted(glob('launch/*.launch.py'))),
         ('share/timo_sim/urdf', sorted(glob('urdf/timo_sim.*'))),
     ],

@@ -232,6 +232,15 @@ def draw_window():
         imsave(ROOT / 'doc' / 'view.png', imread(Path(folder, 'view.png'))[37:])
 
 
+def draw_log():
+    """Draw what rerun itself shows of a log with a far bent arm, doc/rerun_urdf.png."""
+    run = timo_sim.simulate({'initial.shaft': 0.5, 'initial.modal_coordinates': [1.2, 0.0, 0.0]},
+                            0.1, 10, estimate=False)
+    with TemporaryDirectory() as folder:
+        picture(run.save(Path(folder, 'run.mcap')), ROOT / 'doc' / 'rerun_urdf.png', 0.0,
+                (3000, 1900), '/', 'message_log_time')
+
+
 def main():
     """Draw all and write the page."""
     parser(__spec__, __doc__).parse_args()
@@ -244,6 +253,7 @@ def main():
         print(f'{title}: {words}')
         text += ['', f'## {title}', '', f'![{title}](gallery/{draw.__name__}.png)', '', words]
     draw_window()
+    draw_log()
     (ROOT / 'doc' / 'gallery.md').write_text('\n'.join(text) + '\n')
 
 

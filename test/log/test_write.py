@@ -23,6 +23,7 @@ import pytest
 from ros_process import nanoseconds
 import yaml
 
+import timo_sim
 from timo_sim.log import write
 from timo_sim.log.read import recover
 from timo_sim.log.write import BACKLOG, Channel, CHUNK_SIZE, Recorder
@@ -204,14 +205,15 @@ def test_a_log_is_on_the_disk_when_it_is_closed(tmp_path, monkeypatch):
     assert synced == [recorder.path.stat().st_size]
 
 
-def test_only_the_name_of_a_log_depends_on_the_wall_clock():
+def test_only_the_name_of_a_log_and_log_times_on_demand_depend_on_the_wall_clock():
     """A clock that is set back changes no stamp and no deadline, because no code reads it."""
     package = Path(write.__file__).parents[1]
     looking = {path.name: line.strip() for path in package.rglob('*.py')
                for line in path.read_text().splitlines()
                if 'time.time(' in line or 'time_ns(' in line or '.now(' in line or 'utcnow' in line
                or 'get_clock' in line}
-    assert list(looking) == ['topics.py']
+    # The second is for record_time: wall.
+    assert sorted(looking) == ['topics.py', 'write.py']
     assert 'datetime.now():%Y%m%d_%H%M%S' in looking['topics.py']
 
 
@@ -241,6 +243,28 @@ def test_metadata_that_rosbag2_and_rerun_need(start, paper):
     assert bag['message_count'] == summary.statistics.message_count
     assert {t['topic_metadata']['name']: t['message_count']
             for t in bag['topics_with_message_count'] if t['message_count']} == dict(counts)
+
+
+def test_frames_and_urdf_make_a_log_larger_by_less_than_a_third(tmp_path, paper):
+    path = timo_sim.simulate(timo_sim.load_scene(paper), 10.0, 10).save(tmp_path / 'run.mcap')
+    bare, topics = tmp_path / 'bare.mcap', []
+    with open(path, 'rb') as stream:
+        reader = make_reader(stream)
+        names = {channel.topic: (number, reader.get_summary().schemas[channel.schema_id].name)
+                 for number, channel in reader.get_summary().channels.items()
+                 if channel.topic not in ('/tf', '/robot_description')}
+        recorder = Recorder(bare, [Channel(topic, kind) for topic, (_, kind) in names.items()], {
+            record.name: record.metadata for record in reader.iter_metadata()
+            if record.name == 'timo_sim'})
+        places = {topic: place for place, topic in enumerate(names)}
+        for _, channel, message in reader.iter_messages():
+            if channel.topic in places:
+                recorder.write(places[channel.topic], message.sequence, message.log_time,
+                               message.data)
+            topics.append(channel.topic)
+    recorder.close()
+    assert topics.count('/tf') == 251 and topics.count('/robot_description') == 1
+    assert path.stat().st_size < 1.3 * bare.stat().st_size
 
 
 def test_a_log_is_never_overwritten_and_its_default_name_has_a_date(start, tmp_path):

@@ -119,6 +119,25 @@ def test_the_frames_of_tf_lead_from_the_world_to_the_bent_tip(paper):
                        [np.cos(angle), np.sin(angle)], atol=1e-14)
 
 
+def test_the_links_of_tf_follow_the_centre_line(paper):
+    """Each begins where the one before it ends, as near to the bent arm as a chord to its arc."""
+    scene = timo_sim.load_scene(paper, {'initial.modal_coordinates': [1.2, -0.1, 0.0]})
+    simulator = Simulator(scene)
+    snapshot, links = simulator.snapshot(), TRANSFORMS.template['transforms'][4:]
+    numbers = np.reshape(TRANSFORMS.unlogged(snapshot), (-1, 3))
+    model, frame, place, rotation = scene.build(), 'arm', np.zeros(2), np.eye(2)
+    ends = model.centre_line(snapshot.motion[np.newaxis, 3:6],
+                             model.at(np.linspace(0.0, 2.0, len(links) + 1)))[0]
+    assert ends[-1, 1] > 0.5 and len(links) == len(numbers) == 10
+    for (along, z, w), link, end in zip(numbers, links, ends):
+        assert link['header']['frame_id'] == frame
+        frame, place = link['child_frame_id'], place + rotation @ [along, 0.0]
+        rotation = rotation @ turn(z, w)
+        # An arc of 0.2 m with a curvature of 0.5 / m is longer than its chord by 0.1 mm.
+        assert np.linalg.norm(place - end) < 1e-3
+    assert np.linalg.norm(place + rotation @ [0.2, 0.0] - ends[-1]) < 1e-3
+
+
 LEFT, UP = b'\x1b[D', b'\x1bOA'  # as a terminal sends them, in its two modes
 
 

@@ -9,7 +9,10 @@
 """Views show the computed motion, curves and energy; rerun itself reads and draws them."""
 
 from contextlib import suppress
+import json
 import os
+from pathlib import Path
+import re
 import resource
 import signal
 import socket
@@ -18,9 +21,11 @@ import sys
 import time
 from types import SimpleNamespace
 import urllib.request
+from xml.etree import ElementTree
 
 from click.testing import CliRunner
 from matplotlib.image import imread
+from mcap_ros2.reader import read_ros2_messages
 import numpy as np
 from PIL import Image
 import pytest
@@ -36,6 +41,7 @@ from timo_sim.view.plot import animate
 from timo_sim.view.rerun import picture, write
 from timo_sim.view.track import track_of_recording, track_of_run, TrackError
 
+CONFIG = Path(__file__).resolve().parents[2] / 'config'
 LENGTH, AT = 2.0, 1.782
 ARM, TIP, GRID = (86, 180, 233), (213, 94, 0), (50, 50, 50)
 
@@ -105,6 +111,29 @@ def test_tip_and_centre_line_are_drawn_where_they_are(run, shown, tmp_path):
     assert np.linalg.norm(straight - project(LENGTH)) > 10.0
 
 
+def test_the_viewer_itself_draws_a_log_with_a_bent_arm(tmp_path):
+    """URDF and frames are in the log; a line that is straight is so in perspective, too."""
+    scene = timo_sim.load_scene({
+        'initial.shaft': 0.5, 'initial.modal_coordinates': [1.2, 0.0, 0.0]})
+    run = timo_sim.simulate(scene, 0.1, sample_every=10, estimate=False)
+    bend = run.deflection(LENGTH)[0]
+    assert np.allclose(bend, [-0.15, 0.69], atol=0.01)  # [m]
+    picture(run.save(tmp_path / 'run.mcap'), tmp_path / 'run.png', 0.0, view='/',
+            timeline='message_log_time')
+    red, _, blue = np.moveaxis(255.0 * imread(tmp_path / 'run.png')[..., :3], -1, 0)
+    tip = np.argwhere(red > blue + 60.0).mean(axis=0)[::-1]  # x to the right, y downward
+    arm = np.argwhere(blue > red + 40.0)[:, ::-1]
+    assert np.linalg.norm(arm - tip, axis=1).min() < 2.0
+
+    # Between the carrier, which covers the root, and the tip the arm hangs through.
+    left = np.min(arm[:, 0]) + 0.3 * (tip[0] - np.min(arm[:, 0]))
+    begin, middle = (arm[np.abs(arm[:, 0] - x) < 1.0].mean(axis=0)
+                     for x in (left, 0.5 * (left + tip[0])))
+    chord, way = tip - begin, middle - begin
+    sag = (chord[0] * way[1] - chord[1] * way[0]) / np.hypot(*chord)
+    assert 0.04 < sag / np.hypot(*chord) < 0.2
+
+
 def test_an_animation_shows_the_arm_where_it_is(run, tmp_path):
     animate([track_of_run(run)], tmp_path / 'run.gif', 10.0)
     frames = Image.open(tmp_path / 'run.gif')
@@ -118,6 +147,35 @@ def test_an_animation_shows_the_arm_where_it_is(run, tmp_path):
         off = np.arctan2(-y, x) - np.arctan2(*chord[::-1])
         # The bent arm lies to one side of its chord, and the pixels include a part of its path.
         assert abs((off + np.pi / 2) % np.pi - np.pi / 2) < 0.02
+
+
+def test_layouts_of_other_programs_name_what_is_in_a_log(run, tmp_path):
+    """Foxglove names fields as the messages do, PlotJuggler's joints by their names."""
+    found = {}
+    for message in read_ros2_messages(str(run.save(tmp_path / 'run.mcap'))):
+        found[message.channel.topic] = message.ros_msg
+    layout = json.loads((CONFIG / 'foxglove.json').read_text())
+    panels = re.findall('"(3D!arm|Plot![a-z]+)"', json.dumps(layout['layout']))
+    assert sorted(panels) == sorted(layout['configById'])
+    arm = layout['configById'].pop('3D!arm')
+    assert arm['topics'] == {'/robot_description': {'visible': True}}
+    assert '<robot' in found['/robot_description'].data
+    frames = {f'frame:{frame.child_frame_id}' for frame in found['/tf'].transforms}
+    assert len(arm['transforms']) == 11 and arm['transforms'].keys() < frames
+    paths = [path['value'] for panel in layout['configById'].values() for path in panel['paths']]
+    for path in paths:
+        topic, *fields = re.findall(r'/[^.]+|\w+', path)
+        value = found[topic]
+        for field in fields:
+            value = value[int(field)] if field.isdecimal() else getattr(value, field)
+        assert isinstance(value, float)
+    curves = [curve.get('name') for curve in ElementTree.parse(
+        CONFIG / 'plotjuggler.xml').getroot().iter('curve')]
+    joints = found['/joint_states'].name
+    named = {'/joint_states/' + '/'.join((joints[int(number)], field)) if number else
+             path.replace('.', '/') for path in paths for field, number in
+             re.findall(r'\.([a-z]+)(?:\[(\d)\])?$', path)}
+    assert len(curves) == len(paths) == len(named) and {*curves} == named
 
 
 def test_curves_have_every_sample_and_frames_are_thinned(run, shown):

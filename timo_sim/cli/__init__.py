@@ -30,7 +30,6 @@ from timo_sim.version import __version__
 
 # Errors by name, because most of their modules are not imported here.
 _WRONG_INPUT = 'FileNotFoundError', 'LogError', 'ParameterError', 'TrackError'
-_ALUMINIUM = 2710.0  # [kg/m3]; bodies are drawn with the volume of their mass in aluminium
 
 
 def _show_warning(message, category, filename, lineno, file=None, line=None):
@@ -296,7 +295,8 @@ def recover(file: str, output: str | None) -> None:
 @_settings
 @click.option('--formulation', metavar='NAME', help='Short for --set model.formulation=NAME.')
 @click.option('--scene', type=click.Path(),
-              help='Parameter file to use instead of the recorded scene; a plain bag needs it.')
+              help='Parameter file to use instead of the recorded scene; a bag without '
+                   '~/scene needs it.')
 @click.option('--output', '-o', type=click.Path(), help=(
     'New log; by default FILE with _replay after its name in the working directory if anything '
     'is changed, else none. Never overwrites: _1, _2, ... is appended.'))
@@ -318,7 +318,7 @@ def replay(file: str, settings: tuple[str, ...], formulation: str | None, scene:
         timo_sim replay run.mcap
         timo_sim replay run.mcap --set model.modes=5 --formulation newton
 
-    A plain bag of commands needs the scene. Its commands act from the first time step at or after
+    A bag without ~/scene needs the scene. Its commands act from the first time step at or after
     their stamp. Stamps are sim time if the bag has one of the node's topics with sim time in its
     headers, else log time, counted from the first command, which acts at --start:
 
@@ -513,9 +513,10 @@ def urdf(scene: str, settings: tuple[str, ...]) -> None:
     from timo_sim.scene.files import read_parameter_file
     from timo_sim.scene.parameters import frame_names
     from timo_sim.scene.scene import load_scene
+    from timo_sim.scene.urdf import urdf_of
     changes = parse_settings(settings)
     body = load_scene(scene, changes).manipulator
-    click.echo(_urdf_of(body, frame_names({**read_parameter_file(scene), **changes})))
+    click.echo(urdf_of(body, frame_names({**read_parameter_file(scene), **changes})))
 
 
 @main.command()
@@ -609,71 +610,3 @@ def unique_names(names: list[str]) -> list[str]:
             unique = f'{name}_{next(numbers)}'
         found.append(unique)
     return found
-
-
-def _urdf_of(body, frames):
-    """Return the URDF of a Manipulator with these names of frames."""
-    from xml.etree import ElementTree
-    from timo_sim.scene.files import shared_file
-    parser = ElementTree.XMLParser(target=ElementTree.TreeBuilder(insert_comments=True))
-    robot = ElementTree.parse(shared_file('urdf/timo_sim.urdf'), parser).getroot()
-    for path, values in _urdf_numbers(body).items():
-        next(robot.iterfind(path)).attrib.update({
-            name: ' '.join(f'{number:.9g}' for number in numbers)
-            for name, numbers in values.items()})
-    names = {**frames, 'carrier_rail': frames['carrier'] + '_rail'}
-    for key, elements in (('name', robot.findall('link')), ('link', robot.iter('parent')),
-                          ('link', robot.iter('child'))):
-        for element in elements:
-            element.set(key, names[element.get(key)])
-    text = ElementTree.tostring(robot, 'unicode')
-    return '<?xml version="1.0"?>\n' + text.replace(' />', '/>')
-
-
-def _urdf_numbers(body):
-    """Return the numbers of a Manipulator by element of the URDF and attribute."""
-    import numpy as np
-    from timo_sim.model.bodies import Quadrature
-    arm, base, tip = body.arm, body.base_mass, body.end_effector_mass
-    nodes = Quadrature(arm.breaks, 4)  # exact for sections that vary linearly
-    section = arm.at(nodes.nodes)
-    lump = nodes.weights * section.mass_per_length
-    mass = lump.sum()
-    centre = lump @ nodes.nodes / mass
-    apart = lump @ (nodes.nodes - centre)**2
-    # Parts of the moments of inertia that are due to the section's height and width.
-    bending = nodes.weights @ (np.ones_like(lump) * section.inertia_per_length)
-    side = 'height' if arm.section.shape in ('round', 'tube') else 'width'
-    sideways = lump @ (np.ones_like(lump) * getattr(section, side)**2) / 12.0
-    spin, hub = body.shaft_inertia, body.hub_radius
-    carrier = np.cbrt(body.carrier_mass / _ALUMINIUM)
-    motor = np.cbrt(body.motor_mass / _ALUMINIUM / (2.0 * np.pi))  # as high as it is wide
-    ball = np.cbrt(tip / _ALUMINIUM / (4.0 / 3.0 * np.pi))
-
-    def inertia(xx, yy, zz):
-        return {'ixx': [xx], 'iyy': [yy], 'izz': [zz]}
-
-    def inertial(link, mass, x, *moments):
-        path = f"link[@name='{link}']/inertial/"
-        return {f'{path}mass': {'value': [mass]}, f'{path}origin': {'xyz': [x, 0.0, 0.0]},
-                f'{path}inertia': inertia(*moments)}
-
-    def visual(link, shape, number=1):
-        return f"link[@name='{link}']/visual[{number}]/{shape}"
-
-    return {
-        # The carrier does not turn: any moments of inertia will do that a body can have.
-        **inertial('carrier', base, 0.0, *3 * [base * carrier**2 / 6.0]),
-        # The shaft turns about z alone: its moments about x and y are made up, as of a ball.
-        **inertial('arm', mass, hub + centre, spin + bending + sideways, spin + apart + sideways,
-                   spin + apart + bending),
-        **inertial('tip', tip, 0.0, *3 * [body.end_effector_inertia]),
-        "joint[@name='tip']/origin": {'xyz': [hub + arm.length, 0.0, 0.0]},
-        visual('carrier', 'origin'): {'xyz': [0.0, 0.0, -motor - 0.5 * carrier]},
-        visual('carrier', 'geometry/box'): {'size': 3 * [carrier]},
-        visual('carrier', 'geometry/cylinder', 2): {'radius': [motor], 'length': [2.0 * motor]},
-        visual('arm', 'origin'): {'xyz': [hub + 0.5 * arm.length, 0.0, 0.0]},
-        visual('arm', 'geometry/box'): {
-            'size': [arm.length, np.max(arm.section.height), np.max(getattr(arm.section, side))]},
-        visual('tip', 'geometry/sphere'): {'radius': [ball]},
-    }

@@ -12,7 +12,7 @@ import json
 from pathlib import Path
 
 from timo_sim.log.read import LogFile
-from timo_sim.log.write import ENVIRONMENT
+from timo_sim.log.write import ENVIRONMENT, in_wall_time
 from timo_sim.topics.outputs import NANOSECONDS
 
 _MOST_COUNTERS, _IN_A_LINE = 20, 4
@@ -36,8 +36,10 @@ def _about_run(log, notes):
     yield from _entry('changed', _changed(facts) or ['nothing: the arm of the paper at rest'])
     yield from _entry('made with', [', '.join(
         f'{name} {facts[name][:40]}' for name in ENVIRONMENT if name in facts)])
-    end = log.summary.statistics.message_end_time / NANOSECONDS
-    yield from _entry('sim time', [f'0 to {end:.9g} s'])
+    known = log.summary.statistics
+    start = known.message_start_time if in_wall_time(facts) else 0
+    end = (known.message_end_time - start) / NANOSECONDS
+    yield from _entry('wall time' if start else 'sim time', [f'0 to {end:.9g} s'])
     steps = ', '.join(map(str, sorted(resets)[:8])) + (', ...' if len(resets) > 8 else '')
     yield from _entry('resets', [f'at steps {steps}' if resets else 'none'])
     if changes:

@@ -37,8 +37,8 @@ from mcap.writer import MCAP0_MAGIC
 import zstandard
 
 from timo_sim.log.write import (
-    CHANGE, Chunk, CHUNK_SIZE, HEAD, MESSAGE_OPCODE, numbered, printable, RESET, START, SUMMARY,
-    sync, Writer)
+    CHANGE, Chunk, CHUNK_SIZE, HEAD, in_wall_time, MESSAGE_OPCODE, numbered, printable, RESET,
+    START, SUMMARY, sync, Writer)
 from timo_sim.scene.files import whole_file
 
 _LARGEST_CHUNK = 64 * 1024 * 1024      # [B] uncompressed
@@ -397,7 +397,9 @@ def recover(file: Path | str, output: Path | str | None = None) -> str:
         # The file is read twice, because most files are complete, and some are no logs.
         reader, empty, own = _Reader(stream), True, False
         for record in reader.records():
-            empty, own = False, own or isinstance(record, Metadata) and record.name == START
+            empty = False
+            own = own or (isinstance(record, Metadata) and record.name == START
+                          and not in_wall_time(record.metadata))
         contents = f'{reader.count} messages ' + (
             f'until sim time {1e-9 * reader.latest:.3f} s' if own else
             # Log times of a bag are those of a wall clock.

@@ -14,6 +14,7 @@ import csv
 from dataclasses import dataclass
 from functools import cached_property
 import json
+from operator import index
 import os
 from pathlib import Path
 import shutil
@@ -25,9 +26,9 @@ import numpy as np
 from timo_sim.extras import optional
 from timo_sim.log.read import files_of, LogError, LogFile
 from timo_sim.log.write import (
-    Chunk, information, original_names, printable, RESET, yaml_text)
+    Chunk, in_wall_time, information, original_names, printable, RESET, TEXT, yaml_text)
 from timo_sim.scene.files import whole_file
-from timo_sim.scene.parameters import frame_names, ParameterError, SPLIT
+from timo_sim.scene.parameters import frame_names, ParameterError, PARAMETERS, SPLIT
 from timo_sim.scene.scene import load_scene
 from timo_sim.topics.cdr import CdrError, layout
 from timo_sim.topics.commands import COMMANDS, LARGEST_COMMAND, RefusedError
@@ -50,11 +51,12 @@ class Series:
     The n messages of a topic, with `columns`, the names of k quantities with units.
 
     `step`, `ns` and `log_ns`, int64 of shape (n,), are time steps (-1 in a plain bag), sim time
-    and time at which it was logged [ns]. In a plain bag, sim time is the stamp of the header, but
-    for commands, whose stamps mean nothing there, the sim time at their log time or, if that is
-    not known, log time. `values`, shape (n, k), are NaN for what a command does not set. Commands
-    that the node refused are left out and counted. `resets`, int64 of shape (n,), says how many
-    resets were before a message, -1 if that is not known. `data` are a command's messages, CDR.
+    and the time at which it was logged, or published in a bag with ~/scene [ns]. In a plain bag,
+    sim time is the stamp of the header, but for commands, whose stamps mean nothing there, the sim
+    time at their log time or, if that is not known, log time. `values`, shape (n, k), are NaN for
+    what a command does not set. Commands that the node refused are left out and counted. `resets`,
+    int64 of shape (n,), says how many resets were before a message, -1 if that is not known.
+    `data` are a command's messages, CDR.
     """
 
     topic: str
@@ -81,7 +83,8 @@ class Recording:
     title, name : str
         Of the file, or of the folder of a split bag; the node's fully qualified name.
     facts, summary : dict
-        What the node noted at its start ('parameters', 'numpy', ...) and its end, or empty.
+        What the node noted at its start ('parameters', 'numpy', ...) and its end, or empty. In a
+        bag, the facts are those of ~/scene.
     resets : ndarray of int
         Steps at which the motion was reset.
     changes : list of tuple
@@ -89,6 +92,8 @@ class Recording:
         parameters, or of the motion of the carrier, see `Simulator.set_carrier`.
     unread : dict of str
         By topic of the node, why its messages are not read.
+    of_scene : ndarray of int or None
+        Of a bag with ~/scene, the times at which its resets were published [ns].
 
     """
 
@@ -106,6 +111,9 @@ class Recording:
         self.resets = np.array(sorted(logged), dtype=np.int64)
         self._resets_in_order = self.resets.tolist() == logged
         self.name = node or self.facts.get('node') or self._find_node()
+        self.of_scene: np.ndarray | None = None
+        if not self.facts:
+            self._read_scene()
         # If ros2_control publishes joint_states, the node publishes its own below its name.
         topics = {channel.topic for _, channel, _ in self._channels()}
         own, usual = f'{self.name}/joint_states', f'{self.name.rpartition("/")[0]}/joint_states'
@@ -122,6 +130,54 @@ class Recording:
                     self.unread[channel.topic] = (
                         f'{channel.topic[:80]} is not read: its type is {kind[:80]}, encoded as '
                         f'{channel.message_encoding[:20]!r}')
+
+    def _read_scene(self):
+        """Take start, resets and changes from ~/scene, if a bag has it."""
+        told = []
+        for (part, number), channel, schema in self._channels():
+            if channel.topic != f'{self.name}/scene' or not schema or schema.name != TEXT:
+                continue
+            for chunk in self.parts[part].records():
+                entries = chunk.index.get(number, ()) if isinstance(chunk, Chunk) else ()
+                told += [_message(chunk.data, place) for place in entries[1::2]]
+        if not told:
+            return
+        try:
+            told = [(sent, json.loads(layout(TEXT, data).texts[0])) for sent, data in sorted(told)]
+            steps = [index(message['step']) for _, message in told]
+            events = [message['event'] for _, message in told]
+            given = [dict(message['set']) for _, message in told]
+            self.facts = {name: value if isinstance(value, str) else json.dumps(value)
+                          for name, value in told[0][1].items()}
+            if not 0 <= min(steps) <= max(steps) < 10**18:
+                raise ValueError
+        except (CdrError, LookupError, TypeError, ValueError, RecursionError):
+            raise LogError(f'{self.title} has a malformed message on {self.name}/scene') from None
+        if events.count('start') > 1:
+            raise LogError(f'{self.title} has {events.count("start")} runs of {self.name}: cut '
+                           'the bag, so that each part has one')
+        resets = [k for k, event in enumerate(events) if event == 'reset']
+        self.resets = np.array([steps[k] for k in resets], dtype=np.int64)
+        self.of_scene = np.array([told[k][0] for k in resets], dtype=np.int64)
+        self.changes = [(steps[k], sum(reset <= k for reset in resets), given[k])
+                        for k, event in enumerate(events) if event == 'set' and k]
+
+    @property
+    def repeats(self) -> bool:
+        """Whether a replay is the same to the last bit: steps of commands, if any, are known."""
+        return bool(self.facts) and (
+            self.of_scene is None or self.period > 0
+            or not any(series.data for series in self.topics.values()))
+
+    @cached_property
+    def period(self) -> int:
+        """Steps from one wait for a command to the next in lock step, else 0."""
+        return 0 if self.own('sync') == 'free' else round(self.own('sync_period')
+                                                          / self.scene.step)
+
+    def own(self, name: str) -> Any:
+        """Return a logged parameter of the node itself, by default its default; ParameterError."""
+        return PARAMETERS[name].check(self.parameters.get(name, PARAMETERS[name].default))
 
     @cached_property
     def parameters(self) -> dict[str, Any]:
@@ -169,7 +225,8 @@ class Recording:
         twice = Counter((part, about[0]) for (part, _), about in found.items()).most_common(1)
         if twice and twice[0][1] > 1:
             raise LogError(f'{self.title} has two channels of {twice[0][0][1]}')
-        collectors = {about: _Collector(*about, self.frames) for about in found.values()}
+        collectors = {about: _Collector(*about, self.frames, self.of_scene is not None)
+                      for about in found.values()}
         for part, file in enumerate(self.parts):
             resets = 0
             for record in file.records():
@@ -280,6 +337,16 @@ class Recording:
     def _series(self, collector):
         found, sequence, log_ns, ns, values, messages = collector.arrays()
         resets, step = np.zeros(len(ns), dtype=np.int64), np.full(len(ns), -1)
+        if self.of_scene is not None:  # writers of bags keep the order of arrival
+            order = np.argsort(log_ns, kind='stable')
+            sequence, log_ns, ns, values, messages = (
+                array[order] for array in (sequence, log_ns, ns, values, messages))
+            found = np.searchsorted(self.of_scene, log_ns, 'right')
+            if collector.command:
+                sequence[:] = 0  # those of the recorder
+                ns = np.rint(1e9 * self.scene.step * self._steps_of_commands(log_ns, ns, found))
+        elif collector.command and in_wall_time(self.facts):
+            ns = np.rint(1e9 * self.scene.step * sequence)
         if self.facts:
             # In lock step, the stamp of the first state differs from its time by some ns.
             step = np.rint(1e-9 * ns / self.scene.step).astype(np.int64)
@@ -310,6 +377,27 @@ class Recording:
             array[order] for array in (resets, step, log_ns, ns, values, messages))
         return Series(collector.topic, collector.columns, step, ns, log_ns, values,
                       collector.refused, resets, messages.tolist() if collector.command else [])
+
+    def _steps_of_commands(self, sent, stamps, resets):
+        """
+        Return the steps from which commands of a bag act.
+
+        That is by the times at which they were sent and, in lock step, by their stamps [ns] of the
+        states that they answer, 0 if they have none.
+        """
+        if self._clock is None:
+            raise self.lacks(f'states of {self.name}, between which its commands came')
+        if self.period:
+            # A command answers the state that was published last, after a reset any one.
+            published, ns = self._clock
+            answered = ns[np.maximum(np.searchsorted(published, sent, 'right') - 1, 0)]
+            if self.own('sync') == 'wait':
+                answered = np.where(stamps, stamps, answered)
+            step = np.ceil(np.rint(1e-9 * answered / self.scene.step) / self.period) * self.period
+        else:
+            step = np.ceil(1e-9 * self._sim_time(sent) / self.scene.step - 1e-6)
+        bounds = np.concatenate([[0], self.resets, [np.iinfo(np.int64).max]])
+        return np.clip(step.astype(np.int64), bounds[resets], bounds[resets + 1])
 
     def _sim_time(self, log_ns):
         if self._clock is None or not len(log_ns):
@@ -353,11 +441,16 @@ def common(first: np.ndarray, second: np.ndarray) -> tuple:
 
 
 class _Collector:
-    """Gathers the messages of a topic as arrays; `frames` are the names of frames in commands."""
+    """
+    Gathers the messages of a topic as arrays; `frames` are the names of frames in commands.
 
-    def __init__(self, name, topic, type_name, frames):
+    Of a bag with ~/scene (`in_bag`), times are those at which they were published, with the stamps
+    of commands, else those at which they were logged.
+    """
+
+    def __init__(self, name, topic, type_name, frames, in_bag):
         self.name, self.topic, self.type_name = name, topic, type_name
-        self._frames = frames
+        self._frames, self._in_bag = frames, in_bag
         self.command = _COMMANDS.get(name)
         self.columns = self.command.names if self.command else ()
         self.refused = 0
@@ -400,7 +493,8 @@ class _Collector:
 
     def _keep(self, numbers, resets, heads, found, rows):
         """Keep messages of one layout and their numbers in the file, for `arrays`."""
-        log_ns, messages = heads['log_time'].astype(np.int64), np.empty(len(rows), object)
+        log_ns = heads['publish_time' if self._in_bag else 'log_time'].astype(np.int64)
+        messages = np.empty(len(rows), object)
         if self.command:
             kept, loads = [], []
             for number, row in enumerate(_doubles(rows, found.doubles).tolist()):
@@ -413,13 +507,11 @@ class _Collector:
                     self.refused += 1
             numbers, heads, log_ns, messages = (
                 array[kept] for array in (numbers, heads, log_ns, messages))
-            ns, values = log_ns, np.array(loads, dtype=float).reshape(-1, len(self.columns))
+            ns = _stamps(rows[kept], found) if self._in_bag else log_ns
+            values = np.array(loads, dtype=float).reshape(-1, len(self.columns))
         else:
             values = _doubles(rows, [found.doubles[place] for place in self._places])
-            first = found.stamps[0]
-            stamp = np.ascontiguousarray(rows[:, first:first + 8]).view('<i4')
-            # As int64 before the product, which NumPy 1.26 would take in 32 bits.
-            ns = NANOSECONDS * stamp[:, 0].astype(np.int64) + stamp[:, 1]
+            ns = _stamps(rows, found)
         self._parts.append((numbers, np.full(len(heads), resets),
                             heads['sequence'].astype(np.int64), log_ns, ns, values, messages))
 
@@ -432,9 +524,26 @@ class _Collector:
         return tuple(array[order] for array in others)
 
 
+def _message(data, place):
+    """Return publish time [ns] and content of the message at a place in the data of a Chunk."""
+    head = np.frombuffer(data, _HEAD, 1, place)[0]
+    return int(head['publish_time']), bytes(
+        data[place + _HEAD.itemsize:place + 9 + int(head['length'])])
+
+
 def _gather(data, offsets, kind):
     """Return an element of the type `kind` from each of these offsets, shape (n,)."""
     return np.ndarray((len(data) - kind.itemsize + 1,), kind, data, strides=(1,))[offsets]
+
+
+def _stamps(rows, found):
+    """Return the first time in messages, rows of bytes of one Layout, or 0, (n,) [ns]."""
+    first = next(iter(found.stamps), None)
+    if first is None:
+        return np.zeros(len(rows), dtype=np.int64)
+    stamp = np.ascontiguousarray(rows[:, first:first + 8]).view('<i4')
+    # As int64 before the product, which NumPy 1.26 would take in 32 bits.
+    return NANOSECONDS * stamp[:, 0].astype(np.int64) + stamp[:, 1]
 
 
 def _doubles(rows, places):

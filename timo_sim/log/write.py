@@ -19,6 +19,7 @@ from collections.abc import Iterator
 from contextlib import suppress
 import errno
 import fcntl
+from functools import cache
 from importlib.metadata import version
 from itertools import count
 import json
@@ -44,14 +45,15 @@ import numpy as np
 import yaml
 
 from timo_sim.scene.parameters import changed, frame_names
-from timo_sim.topics.cdr import schema_text, Serializer, TYPE_HASHES
+from timo_sim.topics.cdr import pack, schema_text, Serializer, TYPE_HASHES
 from timo_sim.topics.commands import COMMANDS
-from timo_sim.topics.outputs import in_frames, outputs
+from timo_sim.topics.outputs import in_frames, outputs, TRANSFORMS
 from timo_sim.version import __version__
 
 if TYPE_CHECKING:  # the import of its module takes longer than `timo_sim info`
     from timo_sim.scene.scene import Scene
 
+DESCRIPTION, TEXT = 'robot_description', 'std_msgs/msg/String'
 START, RESET, SUMMARY = 'timo_sim', 'timo_sim.reset', 'timo_sim.summary'
 CHANGE = 'timo_sim.change'
 # Versions and hardware that the last bits of a run depend on.
@@ -75,10 +77,33 @@ def names_note(channels: list) -> dict[str, str]:
     return {'topics': _json({channel.topic: channel.name for channel in channels})}
 
 
+def scene_message(event: str, step: int, node: str, channels: list, values: dict,
+                  given: dict) -> bytes:
+    """
+    Return what ~/scene says of an event at a step, JSON in a serialised message.
+
+    The event is a start, a reset, or that the values `given` were set, as in `change_note`;
+    `values` are the node's parameters from this step on.
+    """
+    return pack(TEXT, {'data': json.dumps({
+        'event': event, 'step': step, 'set': _plain(given), 'node': node, **_environment(),
+        'topics': {channel.topic: channel.name for channel in channels},
+        'parameters': _plain(values)}, indent=1)})
+
+
 def _json(values):
+    return json.dumps(_plain(values))
+
+
+def _plain(values):
     # A limit may be infinite, and JSON has no infinity; the text is read as a number again.
-    return json.dumps({name: str(value) if value in (math.inf, -math.inf) else value
-                       for name, value in values.items()})
+    return {name: str(value) if value in (math.inf, -math.inf) else value
+            for name, value in values.items()}
+
+
+def in_wall_time(facts: dict[str, str]) -> bool:
+    """Return whether the times of messages in a log are those of the wall clock."""
+    return '"record_time": "wall"' in facts.get('parameters', '')
 
 
 def original_names(facts: dict[str, str]) -> dict[str, str]:
@@ -95,6 +120,7 @@ def environment_differences(facts: dict[str, str]) -> str:
                      for name, value in _environment().items() if facts.get(name, value) != value)
 
 
+@cache
 def _environment():
     from llvmlite.binding import get_host_cpu_name  # steps are compiled for this processor
     return dict(zip(ENVIRONMENT, (
@@ -291,6 +317,7 @@ class Channel(NamedTuple):
     name: str = ''  # before remapping, as in '~/tip_pose'
     depth: int = DEPTH
     reliability: str = 'reliable'  # or 'best_effort'
+    durability: str = 'volatile'   # or 'transient_local'
 
 
 class Recorder:
@@ -301,12 +328,14 @@ class Recorder:
     up other threads, and gives them to the operating system at least every `FLUSH_PERIOD`. If that
     fails or takes longer than `GIVE_UP_AFTER`, or another program deletes, cuts or writes to the
     file, `error` says so and later messages are dropped; `warning` says that the file has been
-    moved or the disk is slow. Raises OSError if the file cannot be made.
+    moved or the disk is slow. Times in the file are sim time, or `wall` time. Raises OSError if
+    the file cannot be made.
     """
 
     def __init__(self, path: Path | str, channels: list[Channel],
-                 notes: dict[str, dict[str, str]]) -> None:
+                 notes: dict[str, dict[str, str]], wall: bool = False) -> None:
         self.error: str | None = None
+        self._wall = wall
         self.warning: str | None = None
         self._lock = threading.Lock()  # of the chunk that grows
         self._chunk = Chunk()
@@ -322,8 +351,8 @@ class Recorder:
                           schema_id=types.index(channel.type_name) + 1,
                           metadata={
                               'offered_qos_profiles': yaml_text([{
-                                  **_QOS, 'depth': channel.depth,
-                                  'reliability': channel.reliability}]),
+                                  **_QOS, **{policy: getattr(channel, policy) for policy in (
+                                      'depth', 'reliability', 'durability')}}]),
                               'topic_type_hash': TYPE_HASHES[channel.type_name]})
             for number, channel in enumerate(channels, start=1)]
         self.path, self._file = create(Path(path))
@@ -346,8 +375,9 @@ class Recorder:
         """Log a message, CDR, of a channel at a step and its stamp, sim time [ns]."""
         if self.error is not None:
             return
+        logged = time.time_ns() if self._wall else stamp
         with self._lock:
-            self._chunk.add(index + 1, step & 0xffffffff, stamp, stamp, data)
+            self._chunk.add(index + 1, step & 0xffffffff, logged, logged, data)
             if len(self._chunk.data) < CHUNK_SIZE:
                 return
         self._pass_on()
@@ -426,16 +456,22 @@ class Recorder:
         self.warning = f'{self.path} was moved; the log goes on where it is now'
 
 
+def description(scene: Scene, frames: dict[str, str]) -> bytes:
+    """Return the message with the URDF of a scene, with these names of frames."""
+    from timo_sim.scene.urdf import urdf_of
+    return pack(TEXT, {'data': urdf_of(scene.manipulator, frames)})
+
+
 class NewLog(Recorder):
     """A log of a run without a node: the same topics, and the bytes that the node writes."""
 
     def __init__(self, path: Path | str, scene: Scene, values: dict[str, Any],
                  node: str = '/timo_sim', **notes: str) -> None:
-        namespace = node.rpartition('/')[0]
+        namespace, values = node.rpartition('/')[0], {**values, 'record_time': 'sim'}
         channels = [Channel(node + command.name[1:], command.type_name) for command in COMMANDS]
         self._topics: dict[str, tuple] = {}
         frames = frame_names(values)
-        for output in outputs(scene.modal_count):
+        for output in (*outputs(scene.modal_count), TRANSFORMS):
             name = output.name
             topic = (name if name.startswith('/') else
                      node + name[1:] if name.startswith('~') else f'{namespace}/{name}')
@@ -444,11 +480,18 @@ class NewLog(Recorder):
                 len(channels), Serializer(output.type_name, in_frames(output.template, frames)),
                 delay, output)
             channels.append(Channel(topic, output.type_name))
+        channels.append(Channel(f'{namespace}/{DESCRIPTION}', TEXT, durability='transient_local'))
         super().__init__(path, channels, {
             START: {**start_note(node, values, changed(values), scene), **notes}})
+        self.write(len(channels) - 1, 0, 0, description(scene, frames))
+        self._frames_due, self._frames_period = 0, round(1e9 / values[TRANSFORMS.rate])
 
     def output(self, name: str, snapshot: Any, numbers: np.ndarray) -> None:
-        """Log a message of an output; commands are logged by `write`."""
+        """Log a message of an output, and frames where they are due; commands go to `write`."""
+        if name == 'joint_states' and snapshot.nanoseconds >= self._frames_due:
+            # A microsecond less, because times are rounded to nanoseconds.
+            self._frames_due = snapshot.nanoseconds + self._frames_period - 1000
+            self.output(TRANSFORMS.name, snapshot, TRANSFORMS.numbers(snapshot))
         index, serialize, delay, output = self._topics[name]
         self.write(index, snapshot.step, snapshot.nanoseconds + delay,
                    serialize(snapshot.time, output.content(snapshot, numbers)))

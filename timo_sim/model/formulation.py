@@ -21,7 +21,7 @@ from timo_sim.compiled.constants import pack, Packed
 from timo_sim.model.bodies import Constraints, Manipulator, Quadrature
 from timo_sim.model.functions import (
     accelerations_of, efforts, energies, Flow, rate_once, tips)
-from timo_sim.model.layout import LOADS, rotate
+from timo_sim.model.layout import LINKS, LOADS, rotate
 from timo_sim.model.modes import axial_modes, JoinedModes, Modes, modes_of
 
 
@@ -248,6 +248,11 @@ class Formulation(ABC):
     def tip_point(self) -> Points:
         """The tip, as `at` returns points."""
         return self.at([self.manipulator.arm.length])
+
+    @cached_property
+    def link_ends(self) -> Points:
+        """The root and the ends of LINKS links of the same length, as `at` returns points."""
+        return self.at(np.linspace(0.0, self.manipulator.arm.length, LINKS + 1))
 
     def at(self, xi: ArrayLike) -> Points:
         """

@@ -95,6 +95,7 @@ LOADS = len(INPUTS)
 # Rows of the loads of a step: three that its stages see, then the true load at its end.
 START, MIDDLE, END, AFTER = range(4)
 STAGES, STEP_LOADS = 3, 4
+LINKS = 10  # rigid links by which frames and URDF show the bent arm
 
 
 class MotionFields:

@@ -20,11 +20,12 @@ from rclpy.parameter_service import ParameterService
 from rclpy.subscription import Subscription
 from std_srvs.srv import SetBool, Trigger
 
-from timo_sim.log.write import CHANGE, change_note, RESET, start_note
+from timo_sim.log.write import (
+    CHANGE, change_note, DESCRIPTION, description, RESET, scene_message, start_note, TEXT)
 from timo_sim.ros.diagnostics import Health
 from timo_sim.ros.loop import Loop, StateError, sync_steps
 from timo_sim.ros.parameters import ParameterNode, steps_between_messages
-from timo_sim.ros.topics import Commands, LateOutlet, MotionOutlet, RunLog
+from timo_sim.ros.topics import Commands, LateOutlet, Latched, MotionOutlet, RunLog
 from timo_sim.runs.simulate import resolve
 from timo_sim.scene.parameters import (
     changed, frame_names, LATEST, ParameterError, PARAMETERS, SCENE)
@@ -95,6 +96,8 @@ class SimNode(ParameterNode):
             if self._live.warning:
                 self.get_logger().warning(self._live.warning)
         self._loop.configure(values, steps_each)
+        self._description = Latched(self, DESCRIPTION, TEXT, values['publish_tf'])
+        self._scene_topic = Latched(self, '~/scene', TEXT)
 
     @property
     def subscriptions(self) -> Iterator[Subscription]:
@@ -108,9 +111,7 @@ class SimNode(ParameterNode):
             if self._values['publish_arm_shape']:
                 from timo_sim.ros.arm_shape import ArmShape
                 outlets.append(ArmShape(self, self._simulator.model, self.frames['world']))
-            if self._values['publish_tf']:
-                outlets.append(MotionOutlet(self, TRANSFORMS, self.frames))
-                outlets[-1].logged = False
+            outlets.append(MotionOutlet(self, TRANSFORMS, self.frames, self._values['publish_tf']))
         except ModuleNotFoundError as error:
             name = 'publish_tf' if error.name == 'tf2_msgs' else 'publish_arm_shape'
             package = str(error.name).replace('_', '-')
@@ -137,13 +138,18 @@ class SimNode(ParameterNode):
 
     def open(self) -> None:
         """Open the log, publish the initial state before a callback can change it, start time."""
+        outlets = [*self._outlets, self._health.outlet, self._description]
+        self._channels = [*self._commands.channels, *(outlet.channel for outlet in outlets)]
         if self._values['record']:
             self._log.open(
-                self._values['record_file'], self._commands.channels,
-                [*self._outlets, self._health.outlet],
+                self._values['record_file'], self._commands.channels, outlets,
                 start_note(self.get_fully_qualified_name(), self._values, changed(self._values),
-                           self._simulator.scene))
+                           self._simulator.scene), self._values['record_time'] == 'wall')
         self._loop.check_subscribers()
+        for outlet in self._scene_topic, self._description:
+            outlet.check_subscribers()
+        self._tell_scene('start', self._values)
+        self._description.send(description(self._simulator.scene, self.frames), 0, 0)
         self._loop.publish()
         # After publishing, because rclpy's first log line in a process takes a tenth of a second.
         self.get_logger().info(
@@ -210,6 +216,13 @@ class SimNode(ParameterNode):
             if of_scene:
                 self._simulator.change(scene)
                 self._log.note(CHANGE, change_note(self.steps, of_scene))
+                self._tell_scene('set', values, of_scene)
+
+    def _tell_scene(self, event, values, given=None):
+        """Publish parameters, so that a bag of the node can be replayed as its log can."""
+        self._scene_topic.send(scene_message(
+            event, self.steps, self.get_fully_qualified_name(), self._channels, values,
+            given or {}), 0, 0)
 
     @property
     def paused(self) -> bool:
@@ -237,6 +250,7 @@ class SimNode(ParameterNode):
         with self._lock:
             self._loop.reset()
             self._log.note(RESET, {'step': str(self.steps)})
+            self._tell_scene('reset', self._values)
             self._loop.restart()
             return f'reset at step {self.steps}'
 
@@ -277,6 +291,7 @@ class SimNode(ParameterNode):
         with self._lock:
             carrier = self._loop.set_carrier(position, velocity)
             self._log.note(CHANGE, change_note(self.steps, {CARRIER.name: carrier}))
+            self._tell_scene('set', self._values, {CARRIER.name: carrier})
 
     def look(self, read: Callable[[Snapshot], Any]) -> Any:
         """Return what a function reads from the Snapshot of the present motion."""

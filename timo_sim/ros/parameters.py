@@ -188,10 +188,12 @@ def steps_between_messages(values: dict[str, Any], step: float) -> dict[str, int
     """
     Return the number of time steps between messages, by name of each rate that is in use.
 
-    `step` is in [s]. A rate that is no whole fraction of 1/step is a ParameterError.
+    `step` is in [s]. A rate that is no whole fraction of 1/step is a ParameterError, but that of a
+    topic that is not published is rounded down.
     """
     return {rate: whole_ratio('1/integrator.step', 1.0 / step, rate, values[rate])
-            for rate in RATES if values.get(f'publish_{rate.removeprefix("rate.")}', True)}
+            if values.get(f'publish_{rate.removeprefix("rate.")}', True)
+            else max(1, math.ceil(round(1.0 / step / values[rate], 6))) for rate in RATES}
 
 
 def _descriptor(parameter):

@@ -19,6 +19,7 @@ import time
 import numpy as np
 from rclpy.event_handler import PublisherEventCallbacks
 from rclpy.publisher import Publisher
+from rclpy.qos import DurabilityPolicy, QoSProfile
 from rclpy.serialization import deserialize_message, serialize_message
 from rclpy.subscription import Subscription
 
@@ -40,7 +41,8 @@ def message_class(type_name: str) -> type:
 def channel_of(endpoint: Publisher | Subscription, type_name: str, name: str) -> Channel:
     """Return the channel of a publisher or subscription in the log, with the QoS that acts."""
     qos = endpoint.qos_profile
-    return Channel(endpoint.topic_name, type_name, name, qos.depth, qos.reliability.name.lower())
+    return Channel(endpoint.topic_name, type_name, name, qos.depth, qos.reliability.name.lower(),
+                   qos.durability.name.lower())
 
 
 class Outlet:
@@ -48,18 +50,24 @@ class Outlet:
     A publisher that also hands its messages to the log, and knows whether anybody wants them.
 
     If it is `logged`, they go to the `channel` with an `index` of a `recorder`, once there is one;
-    with `always_logged` also those that nobody receives.
+    with `always_logged` also those that nobody receives. Unless it `publishes`, it only logs.
     """
 
     logged = always_logged = True
+    durability = DurabilityPolicy.VOLATILE
 
-    def __init__(self, node, topic, type_name):
+    def __init__(self, node, topic, type_name, publishes=True):
         self.subscribed, self._joined = False, -math.inf
-        self._publisher = node.create_publisher(
-            message_class(type_name), topic, DEPTH,
-            event_callbacks=PublisherEventCallbacks(matched=self._matched))
-        self.channel = channel_of(self._publisher, type_name, topic)
         self.recorder, self.index = None, None
+        self._publisher: Publisher | None = None
+        self.channel = Channel(node.resolve_topic_name(topic), type_name, topic,
+                               durability=self.durability.name.lower())
+        if publishes:
+            self._publisher = node.create_publisher(
+                message_class(type_name), topic,
+                QoSProfile(depth=DEPTH, durability=self.durability),
+                event_callbacks=PublisherEventCallbacks(matched=self._matched))
+            self.channel = channel_of(self._publisher, type_name, topic)
 
     def _matched(self, event):
         self.check_subscribers()
@@ -72,7 +80,7 @@ class Outlet:
 
     def check_subscribers(self) -> None:
         """Ask the middleware whether anybody subscribes; this is also done at every change."""
-        self.subscribed = self._publisher.get_subscription_count() > 0
+        self.subscribed = bool(self._publisher and self._publisher.get_subscription_count())
 
     @property
     def wanted(self) -> bool:
@@ -82,17 +90,27 @@ class Outlet:
 
     def send(self, data: bytes, step: int, nanoseconds: int, again: bool = False) -> None:
         """Send a message to subscribers and, unless `again`, log its step and sim time [ns]."""
-        if self.subscribed:
+        if self._publisher and self.subscribed:
             self._publisher.publish(data)
         if self.recorder is not None and not again:
             self.recorder.write(self.index, step, nanoseconds, data)
 
 
+class Latched(Outlet):
+    """The outlet of texts, of which who subscribes later receives the last ones."""
+
+    durability = DurabilityPolicy.TRANSIENT_LOCAL
+
+    def check_subscribers(self) -> None:
+        """Let each message be published."""
+        self.subscribed = self._publisher is not None
+
+
 class MotionOutlet(Outlet):
     """The outlet of an Output with names of its FRAMES; it is published each `every` steps."""
 
-    def __init__(self, node, output, frames):
-        super().__init__(node, output.name, output.type_name)
+    def __init__(self, node, output, frames, publishes=True):
+        super().__init__(node, output.name, output.type_name, publishes)
         self._serialize = Serializer(output.type_name, in_frames(output.template, frames))
         self._output, self.rate = output, output.rate
         self.name, self.every = output.name, 1
@@ -315,18 +333,19 @@ class RunLog:
         return self._recorder and self._recorder.path
 
     def open(self, path: str, channels: list[Channel], outlets: Sequence[Outlet],
-             note: dict[str, str]) -> None:
+             note: dict[str, str], wall: bool) -> None:
         """
         Begin a log with a note, a dictionary; without a path its name has date and time.
 
         Messages of `channels` are given to `write`; outlets write to it by themselves from now on.
+        Log times are sim time, or `wall` time.
         """
         # ~ comes as it is from parameter files, and from -p in some shells.
         path = os.path.expanduser(path or f'timo_sim_{datetime.now():%Y%m%d_%H%M%S}.mcap')
         outlets = [outlet for outlet in outlets if outlet.logged]
         logged = [*channels, *(outlet.channel for outlet in outlets)]
         try:
-            self._recorder = Recorder(path, logged, {START: {**note, **names_note(logged)}})
+            self._recorder = Recorder(path, logged, {START: {**note, **names_note(logged)}}, wall)
         except (OSError, ValueError) as error:  # ValueError: a path without a name
             self._fail(f'no log is written to {path}: {error}')
             return

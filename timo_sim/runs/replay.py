@@ -33,7 +33,9 @@ from timo_sim.scene.parameters import (
 from timo_sim.scene.scene import Scene, scene_from
 from timo_sim.simulation.simulator import CARRIER, Simulator
 from timo_sim.simulation.warnings import DivergenceError
-from timo_sim.topics.commands import COMMANDED, COMMANDS, has_tip_force, load_of_commands
+from timo_sim.topics.cdr import pack
+from timo_sim.topics.commands import (
+    COMMANDED, COMMANDS, GROUPS, has_tip_force, load_of_commands)
 from timo_sim.topics.outputs import outputs, title, with_angles
 
 _ROUNDING = 1e-9  # relative error of times in steps
@@ -113,6 +115,7 @@ def replay(file: str | Path, changes: Mapping[str, Any] | None = None,
             log.close()
     _report(show, recording, segments, again, time.monotonic() - begun)
     count, differing, found = _compare(segments, scene, recording.topics)
+    repeats = same and recording.repeats
     logged = _count_logged(segments, scene, recording)
     show(f'{count} of {logged} logged numbers compared' + (
         '' if not same else f': {differing} differ' if differing else
@@ -129,13 +132,15 @@ def replay(file: str | Path, changes: Mapping[str, Any] | None = None,
     ground = environment_differences(recording.facts)
     if ground:
         show(f'logged with {ground}: last bits may differ')
+    if same and differing and not repeats:
+        show('a bag does not say at which step a command began to act, but in lock step')
     if recording.split_steps:
         show(f'logged with {SPLIT}, which is no more: its steps are not split again')
     if log:
         show(f'new log: {log.path}')
     if again.diverged:
         show(again.diverged)
-    return not (again.diverged or same and (differing or count < logged or recording.unread))
+    return not (again.diverged or repeats and (differing or count < logged or recording.unread))
 
 
 def _values(recording, scene_file, changes):
@@ -146,8 +151,8 @@ def _values(recording, scene_file, changes):
         checked, source = recording.scene.values, recording.title
         given = {**recording.parameters, **checked}
     else:
-        raise ParameterError(f'{recording.title} is a plain bag, which does not contain the '
-                             'scene: give it by --scene')
+        raise ParameterError(f'{recording.title} is a plain bag without {recording.name}/scene: '
+                             'give its scene by --scene')
     values = {name: parameter.default for name, parameter in PARAMETERS.items()}
     values.update(check(given, source))
     values.update(check(changes, '--set'))
@@ -166,6 +171,7 @@ class Segment:
     logged: dict    # their numbers, shape (n, k), of topics that the log has
     replayed: dict = field(default_factory=dict)  # numbers of the replay at the samples
     done: dict = field(default_factory=dict)      # how many samples were replayed so far
+    timeouts: int = 0  # how many of `commands` are time-outs that a bag does not show
 
 
 def segments_of(recording: Recording, scene: Scene, values: Mapping[str, Any], start: float = 0.0,
@@ -250,9 +256,33 @@ def segments_of(recording: Recording, scene: Scene, values: Mapping[str, Any], s
                 every = whole_ratio('1/integrator.step', 1.0 / scene.step, rate, values[rate])
                 at = np.arange(first, until[name] + 1)
                 samples[name] = at[(at % every == 0) | (at == first)]  # a reset is published
-        result.append(Segment(first, end, sorted(inside, key=lambda entry: entry[:2]), changes,
-                              samples, logged))
+        inside.sort(key=lambda entry: entry[:2])
+        result.append(Segment(first, end, inside, changes, samples, logged))
+        if recording.of_scene is not None:  # the log of a node has a message for each time-out
+            result[-1].commands = _with_timeouts(inside, recording, scene, end)
+            result[-1].timeouts = len(result[-1].commands) - len(inside)
     return result
+
+
+def _with_timeouts(commands, recording, scene, end):
+    """Return commands of a bag, ascending, and zeros where one has been in force for too long."""
+    steps, since = math.ceil(recording.own('command_timeout') / scene.step), {}
+    if not steps:
+        return commands
+    result, every = [], max(1, recording.period)
+    for entry in [*commands, (end, None, None, None)]:
+        for group, begun in list(since.items()):
+            over = -(-(begun + steps) // every) * every
+            if over < entry[0]:
+                kind = list(GROUPS).index(group)  # see the order of COMMANDS
+                zeros = np.zeros(len(COMMANDS[kind].columns))
+                result.append((over, kind, zeros, pack(COMMANDS[kind].type_name, {})))
+                del since[group]
+        if entry[1] is not None:
+            for group in COMMANDS[entry[1]].apply(entry[2], np.zeros(COMMANDED)):
+                since[group] = entry[0]
+            result.append(entry)
+    return sorted(result, key=lambda entry: entry[:2])
 
 
 def _resets_of_bag(motions, scene):
@@ -426,7 +456,8 @@ def _report(show, recording, segments, again, seconds):
     sim_time = simulator.steps * simulator.scene.step
     show(f'{recording.title}: {commands} commands and {len(segments) - 1} resets in '
          f'{sim_time:.6g} s of sim time, replayed in {seconds:.2f} s')
-    left = sum(len(series.ns) for series in recording.topics.values() if series.data) - commands
+    left = sum(len(series.ns) for series in recording.topics.values() if series.data) + sum(
+        segment.timeouts for segment in segments) - commands
     if left:
         show(f'{left} commands are left out, because they act after the end or a reset')
     refused = sum(series.refused for series in recording.topics.values())

@@ -373,7 +373,7 @@ _ALL = [
     Parameter('publish_clock', False, '', 'whether sim time is published on /clock', scope=NODE),
     *[_rate(output.rate, output.name, 100.0) for output in _OUTPUTS],
     _rate('rate.arm_shape', '~/arm_shape', 50.0),
-    _rate(TRANSFORMS.rate, TRANSFORMS.name, 50.0),
+    _rate(TRANSFORMS.rate, TRANSFORMS.name, 25.0),
     Parameter('frame_prefix', '', '', 'prefix of the names of all frames but world', form=(
         f'({_FRAME})?', 'empty or a text without blanks that does not begin with /'), scope=NODE),
     *[Parameter(f'frame.{name}', name, '', f'name of the frame {name} in messages',
@@ -384,14 +384,16 @@ _ALL = [
     Parameter('record', True, '', 'whether the run is logged to an MCAP file', scope=NODE),
     Parameter('record_file', '', '', 'path of the log; empty: timo_sim_DATE_TIME.mcap in the '
               'working directory', scope=NODE),
+    Parameter('record_time', 'sim', '', 'log times of the messages in it: sim time, or wall time '
+              'as in the bag of a robot', choices=('sim', 'wall'), scope=NODE),
     Parameter('record_sensors', False, '', f'whether {", ".join(_SENSOR_TOPICS[:-1])} and '
               f'{_SENSOR_TOPICS[-1]} are logged also while nobody subscribes', scope=NODE),
     Parameter('rerun_live', '', '', 'address of a running viewer of rerun to which the motion is '
               'streamed, such as rerun+http://127.0.0.1:9876/proxy; empty: none', scope=NODE),
     Parameter('publish_arm_shape', False, '', 'whether the centre line is published on '
               '~/arm_shape, for RViz; needs visualization_msgs', scope=NODE),
-    Parameter('publish_tf', False, '', 'whether the frames carrier, arm and tip are published on '
-              '/tf; needs tf2_msgs', scope=NODE),
+    Parameter('publish_tf', False, '', 'whether the frames of the bent arm are published on /tf, '
+              'and the URDF on robot_description; needs tf2_msgs', scope=NODE),
 ]
 
 PARAMETERS = {parameter.name: parameter for parameter in _ALL}

@@ -261,6 +261,14 @@ class Snapshot:
         return self.model.tip(self.motion).tolist()
 
     @property
+    def link_turns(self) -> np.ndarray:
+        """Turn of each of LINKS links along the arm from the one before it, (LINKS,) [rad]."""
+        ends = self.model.centre_line(
+            self.motion[np.newaxis, 3:self._half], self.model.link_ends)[0]
+        along, across = np.diff(ends, axis=0).T
+        return np.diff(np.arctan2(across, along), prepend=0.0)
+
+    @property
     def root_strain(self) -> float:
         """Strain of the outer fibre at the root."""
         return float(self._joints.root_strain[0])

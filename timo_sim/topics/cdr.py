@@ -52,6 +52,7 @@ DEFINITIONS = {
     'std_msgs/msg/Header': ('builtin_interfaces/Time stamp', 'string frame_id'),
     'std_msgs/msg/MultiArrayDimension': ('string label', 'uint32 size', 'uint32 stride'),
     'std_msgs/msg/MultiArrayLayout': ('MultiArrayDimension[] dim', 'uint32 data_offset'),
+    'std_msgs/msg/String': ('string data',),
     'tf2_msgs/msg/TFMessage': ('geometry_msgs/TransformStamped[] transforms',),
 }
 
@@ -75,6 +76,8 @@ TYPE_HASHES = {
         'RIHS01_705ba9c3d1a09df43737eb67095534de36fd426c0587779bda2bc51fe790182a',
     'std_msgs/msg/Float64MultiArray':
         'RIHS01_1025ddc6b9552d191f89ef1a8d2f60f3d373e28b283d8891ddcc974e8c55397f',
+    'std_msgs/msg/String':
+        'RIHS01_df668c740482bbd48fb39d76a70dfd4bd59db1288021743503259e948f6b1a18',
     'tf2_msgs/msg/TFMessage':
         'RIHS01_e369d0f05a23ae52508854b66f6aa0437f3449d652e8cbf22d5abe85d020f087',
 }

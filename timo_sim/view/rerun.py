@@ -357,12 +357,14 @@ def _show(path, web):
 
 
 def picture(path: Path | str, png: Path | str, at: float | None = None,
-            size: tuple[int, int] = (1600, 1000), view: str | None = None) -> None:
+            size: tuple[int, int] = (1600, 1000), view: str | None = None,
+            timeline: str = _TIMELINE) -> None:
     """
-    Draw a rerun file to a picture, without a screen.
+    Draw a rerun file, or a log as rerun itself shows it, to a picture, without a screen.
 
     The picture is of the sim time `at` [s], by default the end; `size` is the width and height of
-    the window, `view` the beginning of the name of the only view to draw. Raises ViewerError.
+    the window, `view` the beginning of the name of the only view to draw. The `timeline` of a log
+    is message_log_time. Raises ViewerError.
     """
     from rerun.experimental import ViewerClient
     port = _free_port()
@@ -375,12 +377,12 @@ def picture(path: Path | str, png: Path | str, at: float | None = None,
         def load():
             state = client.get_state()
             ready = not state.loading and state.views and state.recordings and any(
-                line.name == _TIMELINE for line in state.recordings[0].timelines)
+                line.name == timeline for line in state.recordings[0].timelines)
             return state if ready else None
 
         state = _until(load, process)
-        end = max(line.end for line in state.recordings[0].timelines if line.name == _TIMELINE)
-        client.set_time(_TIMELINE, duration=end * 1e-9 if at is None else at,
+        end = max(line.end for line in state.recordings[0].timelines if line.name == timeline)
+        client.set_time(timeline, duration=end * 1e-9 if at is None else at,
                         play_state='paused')
         only = next((each.view_id for each in state.views
                      if view is not None and each.name.startswith(view)), None)
