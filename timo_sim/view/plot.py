@@ -34,7 +34,6 @@ _GREY = '0.5'
 
 def plot(run: Any) -> Figure:
     """Return a Figure of a Run: curves over time, and the arm in the plane."""
-    length = run.scene.manipulator.arm.length
     curves = {
         'tip': ('tip deflection [m]', dict(zip(('axial', 'transverse'), run.deflection().T))),
         'shaft': ('shaft angle [rad]', {'theta': run.shaft}),
