@@ -13,7 +13,7 @@ import pytest
 
 from benchmark.accuracy.links import rigid_links
 from oracles import peers
-from oracles.references import ROOT, world
+from oracles.references import ROOT, spin_up, world
 import timo_sim
 
 SCENE = {'model.formulation': 'newton', 'model.modes': 2, 'initial.shaft_velocity': 1.0,
@@ -67,3 +67,18 @@ def test_a_chain_of_links_tends_to_the_arm():
         errors.append(np.abs(tip - truth.position(2.0)[1:]).max())
     observed = np.log2(np.array(errors[:-1]) / errors[1:])
     assert observed == pytest.approx(2.0, abs=0.2)
+
+
+@pytest.mark.filterwarnings('ignore::timo_sim.ModelWarning')
+@pytest.mark.parametrize('source, drive', [('paper', None), ('spin_up', spin_up())])
+def test_exponential_steps_of_links_have_their_order(source, drive):
+    """The shaft is free, or driven; short Runge-Kutta steps are the truth."""
+    scene = timo_sim.load_scene(ROOT / 'config' / f'{source}.yaml', {'initial.shaft': 0.0})
+
+    def across(step, **more):
+        return rigid_links(scene, 4, step, 4.0, round(0.04 / step), drive, **more)[-1]
+
+    truth = across(0.0005)
+    errors = [np.abs(across(step, exponential=True) - truth).max() for step in (0.04, 0.02, 0.01)]
+    observed = np.log2(np.array(errors[:-1]) / errors[1:])
+    assert observed == pytest.approx(4.0, abs=0.5)

@@ -26,8 +26,10 @@ from timo_sim.model import FORMULATIONS
 
 OWN, INTEGRATOR = 'timo_sim', 'integrator'  # kinds of methods
 ENGINE, LINKS = 'engine', 'links'           # those of others: from a library, or by hand
+OUR_STEP = 'links, our step'                # by hand, with the exponential step
 # Neighbours differ by a factor of 1.5 or 4/3, every other one by 2.
 COUNTS = (1, 2, 3, 4, 6, 8, 12, 16, 24, 32, 48, 64, 96, 128, 192, 256)
+HALVED = tuple(0.02 / 2**k for k in range(8))  # exponential steps [s]
 HINGES = (2, 3, 4, 5, 6, 8, 10, 12, 16, 24, 32)  # of chains of links
 
 
@@ -156,8 +158,8 @@ def _exudyn(scene, checked, size, step, **more):
 
 def _rival(function, scene, checked, size, step, *more):
     # A function of `rivals` or `soft_rods`.
-    seconds, *_, deflection = function(checked, size, step, scene.duration,
-                                       round(scene.period / step), scene.drive, *more)
+    seconds, *_, deflection = function(checked, size, step, scene.duration, _every(scene, step),
+                                       scene.drive, *more)
     return seconds, deflection
 
 
@@ -172,14 +174,13 @@ def _with_step(words):
 
 def _integrators(scene):
     """Return the methods of this package, and others for the same equations."""
-    halved = tuple(0.02 / 2**k for k in range(8))
     steps = tuple(0.01 / count for count in COUNTS[:13])
 
     def sized(modes, step, **more):
         return {'model.modes': modes, 'integrator.step': step, **more}
 
     for name in FORMULATIONS:
-        yield Method(name, OWN, tuple(range(1, 10)), halved, _own, _with_step('N = {}'), (0, 4),
+        yield Method(name, OWN, tuple(range(1, 10)), HALVED, _own, _with_step('N = {}'), (0, 4),
                      partial(sized, **{'model.formulation': name}), _simulate)
     for name, order in zip(peers.FIXED_STEP, (4, 2, 2)):
         yield Method(name, INTEGRATOR, (3, 4, 5, 6, 7, 8), steps, partial(_fixed_step, name),
@@ -203,12 +204,12 @@ def _engines(scene):
     driven = {'drive': scene.drive, 'axial_factor': 100.0} if scene.drive else {}
     # A tenth faster or more than with 1e-10, and as accurate to 1e-6 m.
     driven |= {'tolerance': 1e-8}
-    for name, kind, least, order in (
-            ('exudyn, beams of two nodes', 'linear', 4, 2),
-            ('exudyn, beams of three nodes', 'quadratic', 2, 4),
-            ('exudyn, ANCF cables', 'cable', 4, 4)):
-        yield engine(name, tuple(least * count for count in COUNTS), steps,
-                     partial(_exudyn, kind=kind, **driven),
+    fours = tuple(4 * count for count in COUNTS)
+    for name, kind, sizes, order in (
+            ('exudyn, beams of two nodes', 'linear', fours, 2),
+            ('exudyn, beams of three nodes', 'quadratic', COUNTS[1:], 4),
+            ('exudyn, ANCF cables', 'cable', fours, 4)):
+        yield engine(name, sizes, steps, partial(_exudyn, kind=kind, **driven),
                      '{} elements', (order, 2))
 
     # Explicit steps are parts of the longest stable one.
@@ -232,6 +233,10 @@ def _engines(scene):
                 function, scene, checked, count, step(count, part)),
             lambda _, count, part, words=words, step=step: (
                 f'{count} {words}, h = {1e3 * step(count, part):.3g} ms'), (2, 0), kind)
+    for name, gauss in (('rigid links, exponential', False),
+                        ("rigid links, Gauss's points, exponential", True)):
+        yield engine(name, HINGES, HALVED, partial(_rival, partial(
+            links.rigid_links, gauss=gauss, exponential=True)), '{} links', (2, 4), OUR_STEP)
     yield engine('MuJoCo, rod, discrete', COUNTS[1:], steps, partial(
         _rival, partial(rivals.rod, integrator='discrete')), '{} parts', (2, 1))
     if scene.held:

@@ -14,7 +14,8 @@ I. Adamiec-Wojcik, S. Wojciech, Dynamics of Flexible Multibody Systems, Springer
 part fixed to the shaft, and another one to the end effector; `rivals.chain_of` says where.
 The coordinates are the angles of the links in the plane. A carrier that is free to move needs
 none: forces on it accelerate the centre of mass of all, and the angles do not depend on its place.
-The equations of motion are compiled by numba.
+The equations of motion are compiled by numba. Steps are those of the classical Runge-Kutta method,
+or of ETDRK4 as this package takes them, in the modes of the straight arm.
 """
 
 import math
@@ -25,10 +26,13 @@ import numpy as np
 
 from benchmark.accuracy.rivals import chain_of
 from timo_sim.model.layout import END, FORCE_X, FORCE_Y, MIDDLE, START, TORQUE
+from timo_sim.steps.etdrk4 import propagator
 
 _CHANNELS, _WHEN = [FORCE_X, FORCE_Y, TORQUE], [START, MIDDLE, END]
 # Of Runge-Kutta: which load (start, middle, end), weight of the rate, part of the step to the next
 _STAGES = ((0, 1.0, 0.5), (1, 2.0, 0.5), (1, 2.0, 1.0), (2, 1.0, 0.0))
+# Of ETDRK4: which load, and which stage the free motion to the next one starts from.
+_EXPONENTIAL = (0, 0), (1, 0), (1, 1), (2, 0)
 # All of fastmath but that there is no NaN.
 _compiled = numba.njit(fastmath={'reassoc', 'contract', 'arcp', 'nsz'}, error_model='numpy')
 
@@ -78,7 +82,7 @@ def _accelerations(links, place, speed, load, held, turned, work, out):
 
 
 @_compiled
-def _integrate(links, place, loads, held, turned, step, every, samples):
+def _integrate(links, step, place, loads, held, turned, every, samples):
     """Integrate by the classical Runge-Kutta method, from rest."""
     count = len(links[0])
     work = np.empty((count, count + 2))
@@ -101,11 +105,72 @@ def _integrate(links, place, loads, held, turned, step, every, samples):
             samples[(k + 1) // every - 1] = place
 
 
-def rigid_links(scene, links, step, duration, every, drive=None, gauss=True, matched=None):
+@_compiled
+def _integrate_exponentially(links, modes, place, loads, held, turned, every, samples):
+    """Integrate by ETDRK4, from rest; `modes` are those of `_exponential`."""
+    shapes, inverse, squares, free, weights = modes
+    count = len(links[0])
+    work = np.empty((count, count + 2))
+    q, v, a = np.empty((3, count))
+    modal, rates = np.zeros((5, 2, count)), np.empty((4, count))
+    modal[0, 0] = inverse @ place
+    for k in range(len(loads)):
+        for stage, (at, origin) in enumerate(_EXPONENTIAL):
+            for i in range(count):
+                q[i] = v[i] = 0.0
+                for j in range(count):
+                    q[i] += shapes[i, j] * modal[stage, 0, j]
+                    v[i] += shapes[i, j] * modal[stage, 1, j]
+            _accelerations(links, q, v, loads[k, at], held, turned[k, at], work, a)
+            for i in range(count):
+                rate = squares[i] * modal[stage, 0, i]
+                for j in range(count):
+                    rate += inverse[i, j] * a[j]
+                rates[stage, i] = rate
+                for j in range(2):
+                    moved = (free[stage, j, 0, i] * modal[origin, 0, i]
+                             + free[stage, j, 1, i] * modal[origin, 1, i])
+                    for each in range(stage + 1):
+                        moved += weights[stage, each, j, i] * rates[each, i]
+                    modal[stage + 1, j, i] = moved
+        modal[0] = modal[4]
+        if (k + 1) % every == 0:
+            for i in range(count):
+                moved = 0.0
+                for j in range(count):
+                    moved += shapes[i, j] * modal[0, 0, j]
+                samples[(k + 1) // every - 1, i] = moved
+
+
+def _exponential(mass, stiffness, held, step):
+    """
+    Return what `_integrate_exponentially` needs of the straight arm, whose vibrations are exact.
+
+    The shapes of its modes, their inverse, squares of angular frequencies [rad2/s2]; and for each
+    stage the free motion to the next one, shape (4, 2, 2, n), and the weights of the rates of
+    all stages, shape (4, 4, 2, n).
+    """
+    mass, stiffness = mass.copy(), stiffness.copy()
+    if held:  # the first angle has the acceleration that it is given
+        mass[0], stiffness[0] = np.eye(1, len(mass)), 0.0
+    squares, shapes = np.linalg.eig(np.linalg.solve(mass, stiffness))
+    linear = np.zeros((len(mass), 2, 2))
+    linear[:, 0, 1], linear[:, 1, 0] = 1.0, -squares
+    whole, half, *columns = np.moveaxis(propagator(linear, step), 1, -1)
+    middle, first, both, last = (matrix[:, 1] for matrix in columns)
+    none = np.zeros_like(middle)
+    return (shapes, np.linalg.inv(shapes), squares, np.array([half, half, half, whole]),
+            np.array([[middle, none, none, none], [none, middle, none, none],
+                      [-middle, none, 2.0 * middle, none], [first, both, both, last]]))
+
+
+def rigid_links(scene, links, step, duration, every, drive=None, gauss=True, matched=None,
+                exponential=False):
     """
     Simulate a scene by `chain_of` it; arguments and result are those of `rivals.chain`.
 
-    The carrier must be free along both axes or held, else ValueError.
+    The steps are explicit, of Runge and Kutta, or `exponential`. The carrier must be free along
+    both axes or held, else ValueError.
     """
     chain, count = chain_of(scene, links, gauss, matched), round(duration / step)
     loads = np.ascontiguousarray(scene.load.stages(0, count, step)[:, _WHEN][:, :, _CHANNELS])
@@ -125,10 +190,14 @@ def rigid_links(scene, links, step, duration, every, drive=None, gauss=True, mat
     constants = tuple(chain.each), chain.first, second, chain.springs
     place = np.full(len(chain.lengths), scene.values['initial.shaft'])
     samples = np.empty((count // every, len(place)))
-    _integrate(constants, place.copy(), loads[:1], held, turned[:1], step, 1,
-               samples[:1])  # compiles
+    integrate, own = _integrate, step
+    if exponential:
+        integrate, own = _integrate_exponentially, _exponential(
+            second, chain.stiffness, held, step)
+    integrate(constants, own, place.copy(), loads[:1], held, turned[:1], 1,
+              samples[:1])  # compiles
     begun = time.process_time()
-    _integrate(constants, place, loads, held, turned, step, every, samples)
+    integrate(constants, own, place, loads, held, turned, every, samples)
     seconds = time.process_time() - begun
     bent, carrier = samples - samples[:, :1], np.zeros((len(samples), 2))
     if free:  # The path of the centre of mass is a sum.

@@ -36,7 +36,7 @@ import matplotlib.pyplot as plt
 import numpy as np
 
 from benchmark import ROOT
-from benchmark.accuracy.cases import ENGINE, LINKS, Method, methods_of, Scene, SCENES
+from benchmark.accuracy.cases import INTEGRATOR, Method, methods_of, OWN, Scene, SCENES
 from benchmark.report import machine, parser
 from benchmark.timing import seconds
 from oracles import elastica
@@ -90,7 +90,7 @@ class Trial:
 
     def load(self):
         """Return the scene; for our code with a body that nothing has been computed for."""
-        if self.method.kind in (ENGINE, LINKS):
+        if self.method.kind not in (OWN, INTEGRATOR):
             return self.scene.resting
         density = self.scene.arm.section.density * (1.0 + 1e-13 * next(_UNUSED))
         return self.scene.load({**self.method.values(self.size, self.step),
