@@ -449,22 +449,32 @@ def teleop(node: str, force: float, torque: float) -> None:
 @click.argument('scene')
 @click.option('--set', 'settings', multiple=True, metavar='NAME=VALUE',
               help='A parameter that differs from the scene, such as frame_prefix=left/.')
-def urdf(scene: str, settings: tuple[str, ...]) -> None:
+@click.option('--ros2-control', 'library', type=click.Path(dir_okay=False), metavar='LIBRARY.so',
+              help='Write the scene as a shared object for timo_sim_hardware, and name it in the '
+                   'block <ros2_control>; needs the C compiler cc.')
+def urdf(scene: str, settings: tuple[str, ...], library: str | None) -> None:
     r"""
     Print the URDF of SCENE, a parameter file or the name of an installed scene.
 
     \b
         timo_sim urdf my_scene.yaml > my_scene.urdf
+        timo_sim urdf my_scene.yaml --ros2-control my_scene.so > my_scene.urdf
 
     Lengths, masses, centres of mass and moments of inertia are those of the scene with a straight
     arm; the link arm includes the inertia of the shaft. Links have the names of the frames.
     """
     from timo_sim.scene.files import read_parameter_file
-    from timo_sim.scene.parameters import frame_names
+    from timo_sim.scene.parameters import check, frame_names, PARAMETERS
     from timo_sim.scene.scene import load_scene
     changes = parse_settings(settings)
-    body = load_scene(scene, changes).manipulator
-    click.echo(_urdf_of(body, frame_names({**read_parameter_file(scene), **changes})))
+    loaded = load_scene(scene, changes)
+    values = {name: parameter.default for name, parameter in PARAMETERS.items()}
+    values.update(check({**read_parameter_file(scene), **changes}, scene))
+    control = None
+    if library:
+        from timo_sim.runs.ros2_control import write_hardware
+        control = write_hardware(loaded, values, library)
+    click.echo(_urdf_of(loaded.manipulator, frame_names(values), control))
 
 
 @main.command()
@@ -560,8 +570,8 @@ def unique_names(names: list[str]) -> list[str]:
     return found
 
 
-def _urdf_of(body, frames):
-    """Return the URDF of a Manipulator with these names of frames."""
+def _urdf_of(body, frames, control=None):
+    """Return the URDF of a Manipulator with these names of frames, and another <ros2_control>."""
     from xml.etree import ElementTree
     from timo_sim.scene.files import shared_file
     parser = ElementTree.XMLParser(target=ElementTree.TreeBuilder(insert_comments=True))
@@ -575,6 +585,10 @@ def _urdf_of(body, frames):
                           ('link', robot.iter('child'))):
         for element in elements:
             element.set(key, names[element.get(key)])
+    if control is not None:
+        for note in robot[[each.tag for each in robot].index('ros2_control') - 1:]:
+            robot.remove(note)
+        robot.append(control)
     text = ElementTree.tostring(robot, 'unicode')
     return '<?xml version="1.0"?>\n' + text.replace(' />', '/>')
 
