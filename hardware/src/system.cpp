@@ -90,10 +90,7 @@ public:
                      const auto handle = get_state_interface_handle(part.name + "/" + each.name);
                      if (each.parameters.count("output")) {
                        readings_.push_back({handle, plant_->reading(parameter(each, "output"))});
-                     } else {
-                       const auto text = parameter(each, "initial_value");
-                       set_state(handle, text.empty() ? 0.0 : std::stod(text), true);
-                     }
+                     }  // others keep their initial_value
                    }
                  }
                }
@@ -165,13 +162,15 @@ public:
   return_type read(const rclcpp::Time &, const rclcpp::Duration &) override
   {
     return attempt([this] {
-               const std::lock_guard<std::mutex> lock(mutex_);
-               if (looping_ && get_clock()->now().nanoseconds() != time_) {
-                 throw std::runtime_error(
-                   "another program sets the clock of the controller manager, or it hears its own: "
-                   "start it with --ros-args -r controller_manager:/clock:=/clock_unheard");
+               {
+                 const std::lock_guard<std::mutex> lock(mutex_);
+                 if (looping_ && get_clock()->now().nanoseconds() != time_) {
+                   throw std::runtime_error(
+                     "another program sets the clock of the controller manager, or it hears its "
+                     "own: start it with --ros-args -r controller_manager:/clock:=/clock_unheard");
+                 }
+                 looping_ = true;
                }
-               looping_ = true;
                wait();
                if (commanded_) {
                  plant_->step(steps_);
@@ -214,13 +213,13 @@ private:
     return attempt([this] {plant_->start("");});
   }
 
-  // Wait for the wall clock; time that was lost is not caught up.
+  // Wait for the wall clock; at most a period is caught up.
   void wait()
   {
     if (factor_ > 0.0) {
+      const std::chrono::nanoseconds each(std::llround(period_ / factor_));
       std::this_thread::sleep_until(next_);
-      next_ = std::max(next_, SteadyClock::now() - std::chrono::nanoseconds(period_)) +
-        std::chrono::nanoseconds(std::llround(period_ / factor_));
+      next_ = std::max(next_, SteadyClock::now() - each) + each;
     }
   }
 
