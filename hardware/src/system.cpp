@@ -137,7 +137,7 @@ public:
     const std::vector<std::string> &, const std::vector<std::string> & stopped) override
   {
     for (const auto & each : commands_) {
-      if (std::find(stopped.begin(), stopped.end(), each.name) != stopped.end()) {
+      if (commanded_ && std::find(stopped.begin(), stopped.end(), each.name) != stopped.end()) {
         set_command(each.handle, 0.0, true);
       }
     }
@@ -210,7 +210,11 @@ private:
   {
     const std::lock_guard<std::mutex> lock(mutex_);
     looping_ = commanded_ = false;
-    return attempt([this] {plant_->start("");});
+    return attempt([this] {
+               if (plant_) {
+                 plant_->start("");
+               }
+             });
   }
 
   // Wait for the wall clock; at most a period is caught up.
