@@ -143,7 +143,7 @@ def test_urdf(program, tmp_path):
 def test_refused(program, tmp_path):
     library, _ = export(tmp_path, {'model.modes': 0})
     told, = run(program, ['i angle 1.0'], library, code=1)
-    assert told.startswith('input must be one of the scene\'s, force_x, force_y') and (
+    assert told.startswith("input must be one of the scene's, force_x, force_y") and (
         told.endswith("; got 'angle'"))
     told, = run(program, ['g cos_half(elbow)'], library, code=1)
     assert told.startswith("output must be one of the scene's, time, ") and (

@@ -11,12 +11,13 @@
 #include <algorithm>
 #include <chrono>
 #include <cmath>
-#include <exception>
+#include <cstdlib>
 #include <memory>
 #include <mutex>
+#include <stdexcept>
 #include <string>
 #include <thread>
-#include <utility>
+#include <unordered_map>
 #include <vector>
 
 #include "hardware_interface/system_interface.hpp"
@@ -35,6 +36,7 @@ using hardware_interface::return_type;
 using rclcpp_lifecycle::State;
 using SteadyClock = std::chrono::steady_clock;
 
+// The controller manager catches what its methods throw, and prints it.
 class System : public hardware_interface::SystemInterface
 {
 public:
@@ -44,93 +46,88 @@ public:
     if (hardware_interface::SystemInterface::on_init(params) != CallbackReturn::SUCCESS) {
       return CallbackReturn::ERROR;
     }
-    return attempt([this] {
-               if (!get_clock()->ros_time_is_active()) {
-                 throw std::runtime_error(
-                   "the controller manager must have use_sim_time: true, since the plant sets its "
-                   "clock");
-               }
-               plant_ = std::make_unique<Plant>(parameter("scene_library", ""));
-               record_file_ = parameter("record_file", "");
-               factor_ = std::stod(parameter("real_time_factor", "1"));
-               if (!(factor_ >= 0.0) || std::isinf(factor_)) {
-                 throw std::runtime_error(
-                   "real_time_factor must be finite and >= 0, got " +
-                   parameter("real_time_factor", ""));
-               }
-               if (parameter("publish_clock", "false") == "true") {
-                 clock_ = get_node()->create_publisher<rosgraph_msgs::msg::Clock>("/clock", 10);
-               }
-               period_ = 1000000000 / info_.rw_rate;
-               // The manager's loop waits for its clock to start and to go on.
-               timer_ = get_node()->create_wall_timer(
-                 std::chrono::milliseconds(10), [this] {
-                   const std::lock_guard<std::mutex> lock(mutex_);
-                   if (!looping_) {
-                     advance_clock();
-                   }
-                 });
-             });
+    if (get_clock()->get_clock_type() != RCL_ROS_TIME || !get_clock()->ros_time_is_active()) {
+      throw std::runtime_error(
+              "the controller manager must have use_sim_time: true, since its plant sets the clock");
+    }
+    const auto & given = info_.hardware_parameters;
+    plant_ = std::make_unique<Plant>(parameter(given, "scene_library"));
+    record_file_ = parameter(given, "record_file");
+    const auto factor = parameter(given, "real_time_factor");
+    factor_ = factor.empty() ? 1.0 : std::atof(factor.c_str());
+    if (!(factor_ >= 0.0 && factor_ <= 1e6)) {
+      throw std::runtime_error("real_time_factor must be >= 0 and <= 1e6, got " + factor);
+    }
+    if (parameter(given, "publish_clock") == "true") {
+      clock_ = get_node()->create_publisher<rosgraph_msgs::msg::Clock>("/clock", 10);
+    }
+    period_ = 1000000000 / info_.rw_rate;
+    wall_period_ = std::chrono::nanoseconds(factor_ > 0.0 ? std::llround(period_ / factor_) : 0);
+    // The loop of the manager waits for its clock to start, and to go on while it cannot read.
+    const auto tick = std::chrono::milliseconds(10);
+    idle_ = patience_ = 100 + wall_period_ / tick;
+    timer_ = get_node()->create_wall_timer(
+      tick, [this] {
+        const std::lock_guard<std::mutex> lock(mutex_);
+        if (++idle_ > patience_) {
+          advance_clock();
+        }
+      });
+    return CallbackReturn::SUCCESS;
   }
 
   CallbackReturn on_configure(const State &) override
   {
-    return attempt([this] {
-               commands_.clear();
-               readings_.clear();
-               for (const auto * group : {&info_.joints, &info_.sensors}) {
-                 for (const auto & part : *group) {
-                   for (const auto & each : part.command_interfaces) {
-                     const auto name = part.name + "/" + each.name;
-                     commands_.push_back(
-                       {name, get_command_interface_handle(name),
-                         plant_->input(parameter(each, "input"))});
-                   }
-                   for (const auto & each : part.state_interfaces) {
-                     const auto handle = get_state_interface_handle(part.name + "/" + each.name);
-                     if (each.parameters.count("output")) {
-                       readings_.push_back({handle, plant_->reading(parameter(each, "output"))});
-                     }  // others keep their initial_value
-                   }
-                 }
-               }
-               publish();
-             });
+    commands_.clear();
+    readings_.clear();
+    for (const auto * parts : {&info_.joints, &info_.sensors}) {
+      for (const auto & part : *parts) {
+        for (const auto & each : part.command_interfaces) {
+          const auto name = part.name + "/" + each.name;
+          commands_.push_back(
+            {name, get_command_interface_handle(name),
+              plant_->input(parameter(each.parameters, "input"))});
+        }
+        for (const auto & each : part.state_interfaces) {
+          if (each.parameters.count("output")) {  // others keep their initial_value
+            readings_.push_back(
+              {get_state_interface_handle(part.name + "/" + each.name),
+                plant_->reading(each.parameters.at("output"))});
+          }
+        }
+      }
+    }
+    publish();
+    return CallbackReturn::SUCCESS;
   }
 
-  CallbackReturn on_activate(const State &) override
+  CallbackReturn on_activate(const State & state) override
   {
-    return attempt([this] {
-               const double exact = 1.0 / (info_.rw_rate * plant_->time_step());
-               steps_ = std::llround(exact);
-               if (steps_ < 1 || std::abs(exact - steps_) > 1e-9 * exact) {
-                 throw std::runtime_error(
-                   "the period of the controller manager, 1/update_rate = " +
-                   std::to_string(1.0 / info_.rw_rate) + " s, must be a whole multiple of the time "
-                   "step of the scene, integrator.step = " + std::to_string(plant_->time_step()) +
-                   " s");
-               }
-               for (const auto & each : commands_) {
-                 set_command(each.handle, std::nan(""), true);
-               }
-               plant_->start(record_file_);
-               publish();
-               if (!record_file_.empty()) {
-                 RCLCPP_INFO(get_logger(), "log: %s", plant_->log_path().c_str());
-               }
-               commanded_ = false;
-               next_ = SteadyClock::now();
-             });
+    const double exact = 1.0 / (info_.rw_rate * plant_->time_step());
+    steps_ = std::llround(exact);
+    if (steps_ < 1 || std::abs(exact - steps_) > 1e-9 * exact) {
+      throw std::runtime_error(
+              "the period of the controller manager, 1/update_rate = " +
+              std::to_string(1.0 / info_.rw_rate) + " s, must be a whole multiple of the time step "
+              "of the scene, integrator.step = " + std::to_string(plant_->time_step()) + " s");
+    }
+    for (const auto & each : commands_) {
+      set_command(each.handle, std::nan(""), true);
+    }
+    leave(state);
+    plant_->start(record_file_);
+    publish();
+    if (!record_file_.empty()) {
+      RCLCPP_INFO(get_logger(), "log: %s", plant_->log_path().c_str());
+    }
+    next_ = SteadyClock::now();
+    return CallbackReturn::SUCCESS;
   }
 
-  CallbackReturn on_deactivate(const State &) override
-  {
-    return attempt([this] {plant_->start("");});
-  }
-
-  CallbackReturn on_cleanup(const State &) override {return leave();}
-  CallbackReturn on_shutdown(const State &) override {return leave();}
-  CallbackReturn on_error(const State &) override {return leave();}
+  CallbackReturn on_deactivate(const State & state) override {return leave(state);}
+  CallbackReturn on_cleanup(const State & state) override {return leave(state);}
+  CallbackReturn on_shutdown(const State & state) override {return leave(state);}
+  CallbackReturn on_error(const State & state) override {return leave(state);}
 
   // An interface that no controller has any more does nothing.
   return_type perform_command_mode_switch(
@@ -144,87 +141,61 @@ public:
     return return_type::OK;
   }
 
-  // Time of the plant begins with the first command, so that each of its periods has one.
+  // The motion begins with the first command, so that each of its periods has one.
   return_type write(const rclcpp::Time &, const rclcpp::Duration &) override
   {
-    return attempt([this] {
-               for (const auto & each : commands_) {
-                 double value = 0.0;
-                 get_command(each.handle, value, true);
-                 if (!std::isnan(value)) {
-                   plant_->set(each.input, value);
-                   commanded_ = true;
-                 }
-               }
-             }) == CallbackReturn::SUCCESS ? return_type::OK : return_type::ERROR;
+    for (const auto & each : commands_) {
+      double value = 0.0;
+      get_command(each.handle, value, true);
+      if (!std::isnan(value)) {
+        plant_->set(each.input, value);
+        commanded_ = true;
+      }
+    }
+    return return_type::OK;
   }
 
   return_type read(const rclcpp::Time &, const rclcpp::Duration &) override
   {
-    return attempt([this] {
-               {
-                 const std::lock_guard<std::mutex> lock(mutex_);
-                 if (looping_ && get_clock()->now().nanoseconds() != time_) {
-                   throw std::runtime_error(
-                     "another program sets the clock of the controller manager, or it hears its "
-                     "own: start it with --ros-args -r controller_manager:/clock:=/clock_unheard");
-                 }
-                 looping_ = true;
-               }
-               wait();
-               if (commanded_) {
-                 plant_->step(steps_);
-               }
-               advance_clock();
-               publish();
-             }) == CallbackReturn::SUCCESS ? return_type::OK : return_type::ERROR;
+    {
+      const std::lock_guard<std::mutex> lock(mutex_);
+      if (get_clock()->now().nanoseconds() != time_) {
+        throw std::runtime_error(
+                "another program sets the clock of the controller manager, or it hears its own: "
+                "start it with --ros-args -r controller_manager:/clock:=/clock_unheard");
+      }
+      idle_ = 0;
+    }
+    if (factor_ > 0.0) {  // wait for the wall clock; at most a period is caught up
+      std::this_thread::sleep_until(next_);
+      next_ = std::max(next_, SteadyClock::now() - wall_period_) + wall_period_;
+    }
+    if (commanded_) {
+      plant_->step(steps_);
+    }
+    advance_clock();
+    publish();
+    return return_type::OK;
   }
 
 private:
-  template<typename Action>
-  CallbackReturn attempt(Action action)
-  {
-    try {
-      action();
-    } catch (const std::exception & error) {
-      RCLCPP_ERROR(get_logger(), "%s: %s", info_.name.c_str(), error.what());
-      return CallbackReturn::ERROR;
-    }
-    return CallbackReturn::SUCCESS;
-  }
-
-  std::string parameter(const std::string & name, const std::string & other) const
-  {
-    const auto found = info_.hardware_parameters.find(name);
-    return found == info_.hardware_parameters.end() ? other : found->second;
-  }
-
   static std::string parameter(
-    const hardware_interface::InterfaceInfo & info, const std::string & name)
+    const std::unordered_map<std::string, std::string> & given, const std::string & name)
   {
-    const auto found = info.parameters.find(name);
-    return found == info.parameters.end() ? "" : found->second;
+    const auto found = given.find(name);
+    return found == given.end() ? "" : found->second;
   }
 
-  CallbackReturn leave()
+  // Go back to the start, and let the clock go on at once if the loop does not read.
+  CallbackReturn leave(const State &)
   {
     const std::lock_guard<std::mutex> lock(mutex_);
-    looping_ = commanded_ = false;
-    return attempt([this] {
-               if (plant_) {
-                 plant_->start("");
-               }
-             });
-  }
-
-  // Wait for the wall clock; at most a period is caught up.
-  void wait()
-  {
-    if (factor_ > 0.0) {
-      const std::chrono::nanoseconds each(std::llround(period_ / factor_));
-      std::this_thread::sleep_until(next_);
-      next_ = std::max(next_, SteadyClock::now() - each) + each;
+    idle_ = patience_;
+    commanded_ = false;
+    if (plant_) {
+      plant_->start("");
     }
+    return CallbackReturn::SUCCESS;
   }
 
   // The clock of the controller manager goes on by a period; it has no other source.
@@ -270,9 +241,11 @@ private:
   std::string record_file_;
   double factor_ = 1.0;  // sim time per wall time; 0: as fast as possible
   int64_t period_ = 0, time_ = 0, steps_ = 0;  // [ns], sim time [ns], time steps in a period
+  std::chrono::nanoseconds wall_period_{0};
   SteadyClock::time_point next_;
-  std::mutex mutex_;  // of the clock, until the manager's loop reads
-  bool looping_ = false, commanded_ = false;
+  std::mutex mutex_;  // of the clock
+  int64_t idle_ = 0, patience_ = 0;  // ticks of the timer since the last read
+  bool commanded_ = false;
   rclcpp::Publisher<rosgraph_msgs::msg::Clock>::SharedPtr clock_;
   rclcpp::TimerBase::SharedPtr timer_;
 };
