@@ -125,7 +125,7 @@ def test_the_manager_that_has_the_arm_inside(packages, tmp_path):
 
 
 @pytest.mark.parametrize('hardware, missing, words', [
-    ('topic', 'a file', 'neither a file nor one of the scenes'),
+    ('topic', 'a file', "No such file or directory: 'nowhere.yaml'"),
     ('inside', 'a package', "'controller_manager' not found"),
     ('inside', 'the plugin', "'timo_sim_hardware' not found"),
     ('topic', 'a plugin', 'ros2_control_node-3] was required'),
