@@ -28,7 +28,7 @@ import time
 import numpy as np
 from pal_statistics_msgs.msg import StatisticsNames, StatisticsValues
 import rclpy
-from rclpy.qos import DurabilityPolicy, QoSProfile
+from rclpy.qos import DurabilityPolicy, QoSProfile, ReliabilityPolicy
 from std_msgs.msg import String
 import yaml
 
@@ -76,7 +76,9 @@ class Watch:
         self._entities = [node.create_publisher(String, '/robot_description', latched)]
         self._entities[0].publish(String(data=urdf))
         node.create_subscription(StatisticsNames, f'{STATISTICS}/names', self._name, latched)
-        node.create_subscription(StatisticsValues, f'{STATISTICS}/values', self._take, 1000)
+        # A reliable reader that is too slow would end the manager: its publisher throws.
+        node.create_subscription(StatisticsValues, f'{STATISTICS}/values', self._take, QoSProfile(
+            depth=1000, reliability=ReliabilityPolicy.BEST_EFFORT))
 
     def _name(self, message):
         names = [*message.names]
@@ -101,30 +103,45 @@ def write_scene(folder):
         stdout=subprocess.PIPE).stdout
 
 
+def processor_time(pid):
+    """Return the processor time of the busiest thread of a process, here the control loop [s]."""
+    spent = [(each / 'stat').read_text().rpartition(')')[2].split()
+             for each in Path(f'/proc/{pid}/task').iterdir()]
+    return max(int(each[11]) + int(each[12]) for each in spent) / os.sysconf('SC_CLK_TCK')
+
+
 def run(urdf, folder, duration):
-    """Do a run of some sim time [s]; return its log, times real time, times of its cycles [us]."""
+    """
+    Do a run of some sim time [s].
+
+    Returns its log, sim time by wall time and by the loop's processor time, and the times of
+    read() and write() of cycles [us].
+    """
     log, said = folder / 'run.mcap', folder / 'said.txt'
     log.unlink(missing_ok=True)
     node = rclpy.create_node('watch')
-    watch, begun = Watch(node, urdf), None
+    watch, begun = Watch(node, urdf), (0.0, 0.0)
+    # The manager is started last, and so ends first.
     with said.open('w') as out, \
-            started(program('ros2_control_node'), '--ros-args', '--params-file', CONTROLLERS,
-                    '-p', 'use_sim_time:=true', stdout=out, stderr=out) as manager, \
             started(program('spawner'), 'joint_state_broadcaster', 'pid_controller',
                     '--param-file', CONTROLLERS, '--switch-timeout', '300',
-                    '--service-call-timeout', '300', stdout=out, stderr=out):
+                    '--service-call-timeout', '300', stdout=out, stderr=out), \
+            started(program('ros2_control_node'), '--ros-args', '--params-file', CONTROLLERS,
+                    '-p', 'use_sim_time:=true', stdout=out, stderr=out) as manager:
         while (reached := sim_time(log)) < duration:
             if manager.poll() is not None:
                 raise RuntimeError(said.read_text())
-            rclpy.spin_once(node, timeout_sec=0.01)
-            if begun is None and reached > 0.1 * duration:
-                begun = time.monotonic(), reached
-        factor = (reached - begun[1]) / (time.monotonic() - begun[0])
+            for _ in range(20):
+                rclpy.spin_once(node, timeout_sec=0.001)
+            if not reached:
+                begun = time.monotonic(), processor_time(manager.pid)
+        factors = reached / (time.monotonic() - begun[0]), reached / (
+            processor_time(manager.pid) - begun[1])
     node.destroy_node()
     for old in folder.glob('run_recovered*'):
         old.unlink()
     recover(log)
-    return folder / 'run_recovered.mcap', factor, watch.times
+    return folder / 'run_recovered.mcap', factors, watch.times
 
 
 def sim_time(log):
@@ -156,7 +173,8 @@ def digest(log, duration):
 def rows(quick, runs=20, duration=60.0):
     """Return the rows of the table."""
     if quick:
-        runs, duration = 2, 5.0
+        runs, duration = 2, 20.0
+    os.environ.update(ENVIRONMENT)  # the same domain
     rclpy.init()
     hashes, factors, times, calm = {}, [], [], []
     with TemporaryDirectory() as name:
@@ -176,20 +194,22 @@ def rows(quick, runs=20, duration=60.0):
             (factors if number >= 3 else calm).append(factor)
             if number < 3:
                 times += cycles
-            print(f'run {number}: {found}, {counts} messages, {factor:.0f} times real time, '
-                  f'{len(cycles)} cycles', flush=True)
+            print(f'run {number}: {found}, {counts} messages, {factor[0]:.0f} times real time, '
+                  f'{factor[1]:.0f} by processor time, {len(cycles)} cycles', flush=True)
         told = []
         same = replay(log, show=told.append)
     rclpy.try_shutdown()
     if len(hashes) > 1 or not same:
         raise SystemExit(f'other bits: {hashes}, {told}')
+    fast, loop = np.median(calm, axis=0)
     middle, most = np.percentile(times, [50, 99])
     return [
         (f'{runs} runs of {duration:g} s under stress and 3 without: hashes of commands and '
          'states', '1', len(hashes), True, f'{counts[0]} commands, {counts[1]} states'),
         ('a `Simulator` under these commands', 'same bits', 'same', True, told[1]),
-        ('sim time by wall time, with a log', 50, f'{np.median(calm):.0f}',
-         np.median(calm) >= 50, f'under stress {min(factors):.0f} to {max(factors):.0f}'),
+        ('sim time by wall time, with a log', 50, f'{fast:.0f}', bool(fast >= 50),
+         f'{loop:.0f} by processor time of the loop; under stress '
+         f'{min(factors)[0]:.0f} to {max(factors)[0]:.0f}'),
         ('p99 of `read()` + `write()` of the manager', '20 us', f'{most:.1f} us', most < 20.0,
          f'p50 {middle:.1f} us, {len(times)} cycles')]
 
