@@ -82,8 +82,9 @@ class Watch:
 
     def _name(self, message):
         names = [*message.names]
-        self._places[message.names_version] = [
-            names.index(f'controller_manager.{kind}_time') for kind in ('read', 'write')]
+        wanted = [f'controller_manager.{kind}_time' for kind in ('read', 'write')]
+        if {*wanted} <= {*names}:  # at the start not all are registered
+            self._places[message.names_version] = [names.index(name) for name in wanted]
 
     def _take(self, message):
         if message.names_version in self._places:
@@ -128,13 +129,16 @@ def run(urdf, folder, duration):
                     '--service-call-timeout', '300', stdout=out, stderr=out), \
             started(program('ros2_control_node'), '--ros-args', '--params-file', CONTROLLERS,
                     '-p', 'use_sim_time:=true', stdout=out, stderr=out) as manager:
-        while (reached := sim_time(log)) < duration:
+        while True:
+            now = time.monotonic(), processor_time(manager.pid)  # before the look at the log
+            reached = sim_time(log)
+            if reached >= duration:
+                break
             if manager.poll() is not None:
                 raise RuntimeError(said.read_text())
             for _ in range(20):
                 rclpy.spin_once(node, timeout_sec=0.001)
-            if not reached:
-                begun = time.monotonic(), processor_time(manager.pid)
+            begun = begun if reached else now
         factors = reached / (time.monotonic() - begun[0]), reached / (
             processor_time(manager.pid) - begun[1])
     node.destroy_node()
