@@ -12,23 +12,31 @@ from contextlib import contextmanager, suppress
 import os
 from pathlib import Path
 import re
+import shutil
 import signal
 import subprocess
 import sys
+import time
+import xml.etree.ElementTree as ElementTree
 
 import numpy as np
 import pytest
 from ros_process import PATIENCE
 from sensor_msgs.msg import JointState
+import yaml
 
+from timo_sim.log.read import recover
 from timo_sim.log.tables import Recording
+from timo_sim.runs.replay import replay
 from topic_hardware import ControllerManager
 
 ROOT = Path(__file__).resolve().parents[2]
 PAGE = (ROOT / 'doc/ros.md').read_text()
 LAUNCH, PUBLISH = (re.findall(f'^ros2 {name} .*', PAGE, re.M) for name in ('launch', 'topic pub'))
-PROGRAMS = {'controller_manager': ['ros2_control_node', 'spawner'],
-            'robot_state_publisher': ['robot_state_publisher'], 'timo_sim': ['sim_node']}
+PROGRAMS = {'controller_manager': ['ros2_control_node', 'spawner'], 'timo_sim_hardware': [],
+            'robot_state_publisher': ['robot_state_publisher'],
+            'timo_sim': ['sim_node', 'timo_sim']}
+OURS = {'sim_node': 'timo_sim.cli.sim_node', 'timo_sim': 'timo_sim'}
 PREFIXES = os.environ.get('AMENT_PREFIX_PATH', '').split(os.pathsep)
 MISSING = [package for package in PROGRAMS
            if not any(Path(prefix, 'share', package).is_dir() for prefix in PREFIXES)]
@@ -42,7 +50,7 @@ def packages(tmp_path, monkeypatch):
             path = tmp_path / 'lib' / package / program
             path.parent.mkdir(parents=True, exist_ok=True)
             path.write_text('#!/bin/bash\n' + (
-                f'exec {sys.executable} -m timo_sim.cli.sim_node "$@"' if program == 'sim_node'
+                f'exec {sys.executable} -m {OURS[program]} "$@"' if program in OURS
                 else f'echo "{program} $*"; exec sleep {PATIENCE}'))
             path.chmod(0o755)
         index = tmp_path / 'share/ament_index/resource_index/packages' / package
@@ -75,7 +83,8 @@ def launched(command, folder):
 def test_the_launched_simulator_matches_hardware_and_manager(
         packages, client, tmp_path):
     controllers = ROOT / 'config/controllers.yaml'
-    with launched(f'{packages} controller:=pid_controller sync:=any_command', tmp_path) as said:
+    with launched(f'{packages} hardware:=topic controller:=pid_controller sync:=any_command',
+                  tmp_path) as said:
         manager = ControllerManager(client, 0.002, lambda angle, speed: 1.0,
                                     states='/timo_sim/joint_states')
         states = client.collect(JointState, '/timo_sim/joint_states')
@@ -91,17 +100,44 @@ def test_the_launched_simulator_matches_hardware_and_manager(
     assert len(commands.step) > 10 and set(np.diff(commands.step)) == {2}
 
 
-@pytest.mark.parametrize('missing, words', [
-    ('a file', "'--params-file nowhere.yaml'"), ('a package', "'controller_manager' not found"),
-    ('a plugin', 'ros2_control_node-3] was required'),
-    ('a controller', 'spawner-4] was required')])
-def test_what_is_missing_ends_everything(packages, tmp_path, missing, words):
-    if missing == 'a package':
-        (tmp_path / 'share/ament_index/resource_index/packages/controller_manager').unlink()
+@pytest.mark.skipif(not shutil.which('cc'), reason='needs a C compiler')
+def test_the_manager_that_has_the_arm_inside(packages, tmp_path):
+    (tmp_path / 'scene.yaml').write_text('timo_sim: {ros__parameters: {arm.length: 1.5}}')
+    # The publisher's only parameter file has the description.
+    publisher = tmp_path / 'lib/robot_state_publisher/robot_state_publisher'
+    publisher.write_text('#!/bin/bash\nfor each; do case $each in *launch_params*) cp "$each" '
+                         f'{tmp_path}/part; mv {tmp_path}/part {tmp_path}/told.yaml; esac; done; '
+                         f'exec sleep {PATIENCE}\n')
+    with launched(f'{packages} params_file:=scene.yaml', tmp_path) as said:
+        end = time.monotonic() + PATIENCE
+        while 'ros2_control_node --ros-args' not in said() or (
+                not (tmp_path / 'told.yaml').exists()):
+            assert time.monotonic() < end, said()
+            time.sleep(0.05)
+        assert '-r controller_manager:/clock:=/clock_unheard' in said()
+        assert 'sim_node' not in said()
+        told = yaml.safe_load((tmp_path / 'told.yaml').read_text())['/**']['ros__parameters']
+        robot = ElementTree.fromstring(told['robot_description'])
+        assert robot.find('joint[@name="tip"]/origin').get('xyz') == '1.5 0 0'
+        given = {each.get('name'): each.text for each in robot.iterfind('ros2_control//param')}
+        assert Path(given['scene_library']).stat().st_size > 10000
+        assert given['publish_clock'] == 'true'
+
+
+@pytest.mark.parametrize('hardware, missing, words', [
+    ('topic', 'a file', "No such file or directory: 'nowhere.yaml'"),
+    ('inside', 'a package', "'controller_manager' not found"),
+    ('inside', 'the plugin', "'timo_sim_hardware' not found"),
+    ('topic', 'a plugin', 'ros2_control_node-3] was required'),
+    ('topic', 'a controller', 'spawner-4] was required')])
+def test_what_is_missing_ends_everything(packages, tmp_path, hardware, missing, words):
+    for place, package in ('a package', 'controller_manager'), ('the plugin', 'timo_sim_hardware'):
+        if place == missing:
+            (tmp_path / f'share/ament_index/resource_index/packages/{package}').unlink()
     for place, program in ('a plugin', 'ros2_control_node'), ('a controller', 'spawner'):
         if place == missing:
             (tmp_path / 'lib/controller_manager' / program).write_text('#!/bin/sh\nexit 1\n')
-    scene = ['params_file:=nowhere.yaml'] * (missing == 'a file')
+    scene = [f'hardware:={hardware}', *['params_file:=nowhere.yaml'] * (missing == 'a file')]
     with (tmp_path / 'said.txt').open('w') as file:
         process = subprocess.Popen([*packages.split(), *scene], cwd=tmp_path, stdout=file,
                                    stderr=subprocess.STDOUT, stdin=subprocess.DEVNULL,
@@ -118,14 +154,15 @@ def test_what_is_missing_ends_everything(packages, tmp_path, missing, words):
 
 
 @pytest.mark.skipif(bool(MISSING), reason=f'not installed: {", ".join(MISSING)}')
-@pytest.mark.parametrize('sync', ['free', 'any_command'])
+@pytest.mark.parametrize('how', ['hardware:=inside', 'hardware:=topic sync:=free',
+                                 'hardware:=topic sync:=any_command'])
 @pytest.mark.parametrize('launch, publish, moved', zip(LAUNCH, PUBLISH, [
     lambda angle, speed, effort: effort == 1.0 and speed > 0.1,
     lambda angle, speed, effort: abs(angle - 1.5) < 0.01 and abs(speed) < 0.01], strict=True),
     ids=['effort', 'pid'])
-def test_the_commands_of_the_page_move_the_shaft(client, tmp_path, launch, publish, moved, sync):
+def test_the_commands_of_the_page_move_the_shaft(client, tmp_path, launch, publish, moved, how):
     """With the real ros2_control."""
-    with launched(f'{launch} sync:={sync}', tmp_path) as said:
+    with launched(f'{launch} {how}', tmp_path) as said:
         client.wait(lambda: re.search(
             'activated .*(effort|pid)_controller|process has died', said()), 'a controller')
         states = client.collect(JointState, '/joint_states')
@@ -135,6 +172,10 @@ def test_the_commands_of_the_page_move_the_shaft(client, tmp_path, launch, publi
             return states and moved(*(getattr(states[-1], name)[states[-1].name.index('shaft')]
                                       for name in ('position', 'velocity', 'effort')))
         client.wait(reached, 'the motion of the shaft')
+    if how == 'hardware:=inside':
+        recover(tmp_path / 'timo_sim.mcap')
+        assert replay(tmp_path / 'timo_sim_recovered.mcap')
+        return
     log, = tmp_path.glob('timo_sim_*.mcap')
     summary = Recording(log).summary
     assert summary['refused_commands'] == summary['foreign_joints'] == '0'

@@ -500,23 +500,33 @@ def teleop(node: str, force: float, torque: float) -> None:
 @click.argument('scene')
 @click.option('--set', 'settings', multiple=True, metavar='NAME=VALUE',
               help='A parameter that differs from the scene, such as frame_prefix=left/.')
-def urdf(scene: str, settings: tuple[str, ...]) -> None:
+@click.option('--ros2-control', 'library', type=click.Path(dir_okay=False), metavar='LIBRARY.so',
+              help='Write the scene as a shared object for timo_sim_hardware, and name it in the '
+                   'block <ros2_control>; needs the C compiler cc.')
+def urdf(scene: str, settings: tuple[str, ...], library: str | None) -> None:
     r"""
     Print the URDF of SCENE, a parameter file or the name of an installed scene.
 
     \b
         timo_sim urdf my_scene.yaml > my_scene.urdf
+        timo_sim urdf my_scene.yaml --ros2-control my_scene.so > my_scene.urdf
 
     Lengths, masses, centres of mass and moments of inertia are those of the scene with a straight
     arm; the link arm includes the inertia of the shaft. Links have the names of the frames.
     """
     from timo_sim.scene.files import read_parameter_file
-    from timo_sim.scene.parameters import frame_names
+    from timo_sim.scene.parameters import check, frame_names, PARAMETERS
     from timo_sim.scene.scene import load_scene
     from timo_sim.scene.urdf import urdf_of
     changes = parse_settings(settings)
-    body = load_scene(scene, changes).manipulator
-    click.echo(urdf_of(body, frame_names({**read_parameter_file(scene), **changes})))
+    loaded = load_scene(scene, changes)
+    values = {name: parameter.default for name, parameter in PARAMETERS.items()}
+    values.update(check({**read_parameter_file(scene), **changes}, scene))
+    control = None
+    if library:
+        from timo_sim.runs.ros2_control import write_hardware
+        control = write_hardware(loaded, values, library)
+    click.echo(urdf_of(loaded.manipulator, frame_names(values), control))
 
 
 @main.command()

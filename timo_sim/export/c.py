@@ -13,7 +13,9 @@ from __future__ import annotations
 
 from pathlib import Path
 import re
+import shutil
 from string import Template
+import subprocess
 
 from timo_sim.compiled.machine import TARGETS
 from timo_sim.export.constants import Interface, interface_of, Quantity, refuse
@@ -234,6 +236,26 @@ def export_c(scene: SceneLike, folder: Path | str, target: str = 'host', estimat
         with whole_file(folder / file) as path:
             path.write_bytes(content)
     return folder
+
+
+def find_compiler() -> None:
+    """Raise OSError if there is no C compiler."""
+    if not shutil.which('cc'):
+        raise OSError('a shared object is linked by the C compiler cc, which is not on the PATH: '
+                      'install gcc or clang')
+
+
+def link(folder: Path | str, sources: list[str], exports: str) -> bytes:
+    """Return a shared object of C sources and object files in a folder; only `exports` is seen."""
+    find_compiler()
+    Path(folder, 'exports').write_text(f'{{ global: {exports}; local: *; }};\n')
+    done = subprocess.run(
+        ['cc', '-std=c11', '-O2', '-fPIC', '-shared', '-Wl,-z,defs', '-Wl,-z,text',
+         '-Wl,-z,noexecstack', '-Wl,--version-script=exports', '-o', 'linked.so', *sources],
+        cwd=folder, capture_output=True, text=True)
+    if done.returncode:
+        raise OSError(f'cc cannot link {", ".join(sources)}: {done.stderr.strip()}')
+    return Path(folder, 'linked.so').read_bytes()
 
 
 def _named(text, name):

@@ -16,14 +16,12 @@ import math
 from pathlib import Path
 import platform
 import re
-import shutil
-import subprocess
 from tempfile import TemporaryDirectory
 from typing import NamedTuple
 from xml.etree import ElementTree
 from zipfile import ZIP_DEFLATED, ZipFile, ZipInfo
 
-from timo_sim.export.c import export_c
+from timo_sim.export.c import export_c, find_compiler, link
 from timo_sim.export.constants import Interface, interface_of, Quantity
 from timo_sim.model.layout import with_unit
 from timo_sim.scene.files import whole_file
@@ -101,9 +99,7 @@ def export_fmu(scene: SceneLike, path: Path | str, version: int = 3, estimate: b
         raise ParameterError(f'target must be {", ".join(TARGETS)}, got {short(target)}')
     if (platform.system(), platform.machine()) != ('Linux', 'x86_64'):
         raise OSError('FMUs are written on Linux x86-64 alone')
-    if not shutil.which('cc'):
-        raise OSError('an FMU is linked by the C compiler cc, which is not on the PATH: '
-                      'install gcc or clang')
+    find_compiler()
     variables = _variables(interface_of(scene, estimate))
 
     def describe(token):
@@ -144,16 +140,7 @@ def _link(folder, files, version):
     """Return the shared library of the sources."""
     for name, content in files.items():
         Path(folder, name).write_bytes(content)
-    # Nothing but the functions of FMI is seen from outside, and nothing else is taken from there.
-    Path(folder, 'exports').write_text('{ global: fmi*; local: *; };\n')
-    done = subprocess.run(
-        ['cc', '-std=c11', '-O2', '-fPIC', '-shared', '-Wl,-z,defs', '-Wl,-z,text',
-         '-Wl,-z,noexecstack', '-Wl,--version-script=exports', '-o', f'{_NAME}.so',
-         f'fmi{version}.c', f'{_NAME}.o'],
-        cwd=folder, capture_output=True, text=True)
-    if done.returncode:
-        raise OSError(f'cc cannot link the FMU: {done.stderr.strip()}')
-    return Path(folder, f'{_NAME}.so').read_bytes()
+    return link(folder, [f'fmi{version}.c', f'{_NAME}.o'], 'fmi*')
 
 
 def _variables(interface: Interface) -> list[_Variable]:

@@ -22,8 +22,9 @@ _PAPER = Path(__file__).with_name('timo_sim.urdf')
 _ALUMINIUM = 2710.0  # [kg/m3]; bodies are drawn with the volume of their mass in aluminium
 
 
-def urdf_of(body: Manipulator, frames: Mapping[str, str]) -> str:
-    """Return the URDF of a Manipulator with these names of frames."""
+def urdf_of(body: Manipulator, frames: Mapping[str, str],
+            control: ElementTree.Element | None = None) -> str:
+    """Return the URDF of a Manipulator with these names of frames, and another <ros2_control>."""
     parser = ElementTree.XMLParser(target=ElementTree.TreeBuilder(insert_comments=True))
     robot = ElementTree.parse(_PAPER, parser).getroot()
     for path, values in _numbers(body).items():
@@ -34,6 +35,10 @@ def urdf_of(body: Manipulator, frames: Mapping[str, str]) -> str:
                           ('link', robot.iter('child'))):
         for element in elements:
             element.set(key, renamed(element.get(key, ''), frames))
+    if control is not None:
+        for note in robot[[each.tag for each in robot].index('ros2_control') - 1:]:
+            robot.remove(note)
+        robot.append(control)
     text = ElementTree.tostring(robot, 'unicode')
     return '<?xml version="1.0"?>\n' + text.replace(' />', '/>')
 

@@ -105,10 +105,15 @@ def _tip_pose(snapshot):
     return *place(x, y, theta, along, across), math.sin(half), math.cos(half)
 
 
+def gravity_along_z(gravity: float) -> float:
+    """Return what the gravity in the plane of motion leaves of the Earth's [m/s2]."""
+    lean = min(gravity / _GRAVITY, 1.0)
+    return _GRAVITY * math.sqrt(1.0 - lean * lean)
+
+
 def _imu_unlogged(snapshot):
-    # Along z, what the gravity in the plane of motion leaves of the Earth's; variances.
-    lean = min(snapshot.gravity / _GRAVITY, 1.0)
-    return [_GRAVITY * math.sqrt(1.0 - lean * lean), *(snapshot.variance(name) for name in (
+    # Along z; variances.
+    return [gravity_along_z(snapshot.gravity), *(snapshot.variance(name) for name in (
         'tip_acceleration', 'tip_acceleration', 'gyro'))]
 
 

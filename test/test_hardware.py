@@ -1,0 +1,163 @@
+# Copyright 2026 The timo_sim authors
+# Licensed under the Apache License, Version 2.0 (the "License"); you may not use this file except
+# in compliance with the License. You may obtain a copy of the License at
+# http://www.apache.org/licenses/LICENSE-2.0 Unless required by applicable law or agreed to in
+# writing, software distributed under the License is distributed on an "AS IS" BASIS, WITHOUT
+# WARRANTIES OR CONDITIONS OF ANY KIND, either express or implied. See the License for the specific
+# language governing permissions and limitations under the License.
+
+"""A scene as hardware of ros2_control, without ROS: the bits of `Simulator`, its log, its URDF."""
+
+import math
+from pathlib import Path
+import shutil
+import subprocess
+import xml.etree.ElementTree as ElementTree
+
+from click.testing import CliRunner
+import numpy as np
+import pytest
+
+import timo_sim
+from timo_sim.cli import main
+from timo_sim.log.read import recover
+from timo_sim.log.tables import Recording
+from timo_sim.model.layout import FORCE_X, FORCE_Y, LOADS, TORQUE, VOLTAGE
+from timo_sim.runs.replay import replay
+
+ROOT = Path(__file__).resolve().parents[1]
+CXX = shutil.which('g++')
+pytestmark = pytest.mark.skipif(CXX is None or shutil.which('cc') is None,
+                                reason='needs C and C++ compilers')
+PERIOD = 2  # steps
+SCENES = {
+    'paper': ({}, {'force_x': FORCE_X, 'force_y': FORCE_Y, 'torque': TORQUE}),
+    'voltage, weight': (
+        {'motor.dc.resistance': 2.0, 'motor.dc.torque_constant': 0.5, 'gravity': [0.0, -3.0],
+         'frame_prefix': 'left/', 'record_file': 'its.mcap', 'real_time_factor': 0.0},
+        {'force_x': FORCE_X, 'voltage': VOLTAGE}),
+}
+
+
+@pytest.fixture(scope='module')
+def program(tmp_path_factory):
+    """Return the program of run_plant.cpp, built with all warnings as errors."""
+    path = tmp_path_factory.mktemp('plant') / 'run_plant'
+    source = ROOT / 'hardware/src'
+    subprocess.run([CXX, '-std=c++17', '-Wall', '-Wextra', '-Wpedantic', '-Werror', f'-I{source}',
+                    '-o', path, ROOT / 'test/data/run_plant.cpp', source / 'plant.cpp', '-ldl'],
+                   check=True)
+    return path
+
+
+def export(folder, changes):
+    """Return the shared object of the paper's scene, changed, and the URDF that names it."""
+    library = folder / 'arm.so'
+    settings = [text for name, value in changes.items() for text in ('--set', f'{name}={value}')]
+    result = CliRunner().invoke(main, ['urdf', 'paper', *settings, '--ros2-control', str(library)])
+    assert result.exit_code == 0, (result.output, result.exception)
+    return library, ElementTree.fromstring(result.output)
+
+
+def run(program, lines, *arguments, code=0):
+    """Return the lines that the program prints."""
+    done = subprocess.run([program, *arguments], input='\n'.join(lines), text=True,
+                          capture_output=True)
+    assert done.returncode == code, (done.stdout, done.stderr)
+    return done.stdout.splitlines()
+
+
+@pytest.mark.parametrize('name', SCENES)
+def test_bits_and_log(name, program, tmp_path):
+    """The plant moves as a Simulator under the same commands; so does the replay of its log."""
+    changes, inputs = SCENES[name]
+    library, urdf = export(tmp_path, changes)
+    block = urdf.find('ros2_control')
+    sources = [each.text for each in block.iterfind('*/state_interface/param[@name="output"]')]
+    simulator = timo_sim.Simulator(timo_sim.load_scene('paper', changes))
+    random, commanded, lines, wanted = np.random.default_rng(3), np.zeros(LOADS), [], []
+    for period in range(60):
+        for title, column in inputs.items():
+            if period % 3 == 0:  # the others repeat the one before
+                commanded[column] = random.normal()
+            lines.append(f'i {title} {commanded[column].hex()}')
+        lines += [f's {PERIOD}', *(f'g {source}' for source in sources)]
+        simulator.advance(PERIOD, commanded)
+        now = simulator.snapshot()
+        half = 0.5 * (now.joint_positions[2] + now.tip[2])
+        wanted.append([*now.joint_positions, *now.joint_velocities, now.tip[1], math.sin(half),
+                       math.cos(half), *now.tip_acceleration])
+    log = tmp_path / 'run.mcap'
+    log.touch()  # not overwritten
+    *found, step = run(program, lines, library, log)
+    assert float.fromhex(step) == simulator.scene.step
+    found = np.reshape([float.fromhex(each) for each in found], (60, -1))
+    titles = ['carrier_x', 'carrier_y', 'shaft', 'carrier_x_velocity', 'carrier_y_velocity',
+              'shaft_velocity', 'tip_transverse', 'sin_half(tip_rotation)',
+              'cos_half(tip_rotation)', 'tip_acceleration_x', 'tip_acceleration_y']
+    found, wanted = found[:, [sources.index(title) for title in titles]], np.array(wanted)
+    assert np.ptp(found, axis=0).min() > 1e-6  # all of them move
+    np.testing.assert_array_equal(found[:, :7], wanted[:, :7])
+    # Accelerations are differences, good to some 1e-8.
+    assert (np.abs(found - wanted).max(axis=0) < 1e-6 * np.abs(wanted).max(axis=0)).all()
+
+    recover(tmp_path / 'run_1.mcap')
+    told = []
+    assert replay(tmp_path / 'run_1_recovered.mcap', show=told.append), told
+    topics = 2 if 'voltage' in inputs else 1  # each has a message where it changes
+    assert f'{20 * topics} commands and 0 resets in 0.12 s' in told[0]
+    assert 'all are the same to the last bit' in told[1]
+    recording = Recording(tmp_path / 'run_1_recovered.mcap')
+    assert recording.topics['joint_states'].step.tolist() == [*range(0, 121, PERIOD)]
+    assert recording.frames['tip'] == changes.get('frame_prefix', '') + 'tip'
+
+
+def test_urdf(program, tmp_path):
+    """Interfaces are those of standard broadcasters; held joints and other motors have others."""
+    changes, _ = SCENES['voltage, weight']
+    library, urdf = export(tmp_path, {**changes, 'carrier.held': 'y'})
+    assert [each.get('name') for each in urdf.iterfind('joint') if each.get('type') != 'fixed'] == [
+        'carrier_x', 'carrier_y', 'shaft']
+    block, = urdf.findall('ros2_control')
+    assert {each.get('name'): each.text for each in block.iterfind('hardware/param')} == {
+        'scene_library': str(library), 'real_time_factor': '0.0', 'publish_clock': 'false',
+        'record_file': 'its.mcap'}
+    commands = {f'{joint.get("name")}/{each.get("name")}': each.find('param').text
+                for joint in block.iterfind('joint') for each in joint.iterfind(
+                    'command_interface')}
+    assert commands == {'carrier_x/effort': 'force_x', 'shaft/voltage': 'voltage'}
+    for joint in block.iterfind('joint'):
+        assert [each.get('name') for each in joint.iterfind('state_interface')] == [
+            'position', 'velocity', 'effort']
+    plugin = ElementTree.parse(ROOT / 'hardware/timo_sim_hardware.xml').find('class').get('name')
+    assert block.find('hardware/plugin').text == plugin
+    package = ElementTree.parse(ROOT / 'hardware/package.xml')
+    assert package.find('version').text == timo_sim.__version__
+    turned = {f'orientation.{axis}' for axis in 'xyzw'}
+    names = {sensor.get('name'): {each.get('name') for each in sensor} for sensor in
+             block.iterfind('sensor')}
+    assert names['tip_pose'] == {'position.x', 'position.y', 'position.z', *turned}
+    assert names['tip_imu'] == turned | {f'{kind}.{axis}' for axis in 'xyz' for kind in (
+        'angular_velocity', 'linear_acceleration')}
+    up, = block.iterfind('sensor[@name="tip_imu"]/state_interface'
+                         '[@name="linear_acceleration.z"]/param')
+    assert float(up.text)**2 == pytest.approx(9.80665**2 - 3.0**2)
+
+
+def test_refused(program, tmp_path):
+    library, _ = export(tmp_path, {'model.modes': 0})
+    told, = run(program, ['i angle 1.0'], library, code=1)
+    assert told.startswith("input must be one of the scene's, force_x, force_y") and (
+        told.endswith("; got 'angle'"))
+    told, = run(program, ['g cos_half(elbow)'], library, code=1)
+    assert told.startswith("output must be one of the scene's, time, ") and (
+        told.endswith("; got 'elbow'"))
+    assert run(program, ['i torque nan'], library, code=1) == ['a value is not finite']
+    told, = run(program, [], 'none.so', code=1)
+    assert told.startswith('scene_library must be a shared object') and 'none.so' in told
+    subprocess.run(['cc', '-shared', '-o', tmp_path / 'other.so', '-x', 'c', '/dev/null'],
+                   check=True)
+    told, = run(program, [], tmp_path / 'other.so', code=1)
+    assert told.endswith('other.so has no arm_scene')
+    told, = run(program, [], library, tmp_path / 'none/run.mcap', code=1)
+    assert told == f'record_file {tmp_path}/none/run.mcap: No such file or directory'

@@ -1,0 +1,162 @@
+# Copyright 2026 The timo_sim authors
+# Licensed under the Apache License, Version 2.0 (the "License"); you may not use this file except
+# in compliance with the License. You may obtain a copy of the License at
+# http://www.apache.org/licenses/LICENSE-2.0 Unless required by applicable law or agreed to in
+# writing, software distributed under the License is distributed on an "AS IS" BASIS, WITHOUT
+# WARRANTIES OR CONDITIONS OF ANY KIND, either express or implied. See the License for the specific
+# language governing permissions and limitations under the License.
+
+"""A scene as hardware of ros2_control, for the plugin in the folder `hardware/`."""
+
+from __future__ import annotations
+
+from collections.abc import Mapping
+import math
+from pathlib import Path
+from tempfile import TemporaryDirectory
+from typing import Any
+from xml.etree import ElementTree
+
+from timo_sim.export.c import export_c, link
+from timo_sim.export.constants import interface_of
+from timo_sim.log.read import LogFile
+from timo_sim.log.write import NewLog
+from timo_sim.scene.files import whole_file
+from timo_sim.scene.parameters import frame_names
+from timo_sim.scene.scene import Scene
+from timo_sim.topics.cdr import form, Number
+from timo_sim.topics.commands import JOINTS
+from timo_sim.topics.outputs import gravity_along_z, in_frames, outputs
+
+_C = """\
+#include <stdint.h>
+static const struct field { int place, number; } fields[] = {%s};
+static const unsigned char head[] = {%s}, data[] = {%s};
+static const struct message {
+    int channel, commanded, size, stamp;
+    const unsigned char *data;
+    int count;
+    const struct field *fields;
+} messages[] = {%s};
+const struct {
+    double step;
+    const unsigned char *head;
+    int64_t head_size;
+    int count;
+    const struct message *messages;
+} arm_scene = {%r, head, sizeof head, %d, messages};
+"""
+
+
+def write_hardware(scene: Scene, values: Mapping[str, Any],
+                   library: Path | str) -> ElementTree.Element:
+    """
+    Write a scene as a shared object for `timo_sim_hardware`; return its `<ros2_control>` element.
+
+    `values` are all parameters of a node, of which names of frames, `record`, `record_file`,
+    `real_time_factor` and `publish_clock` are used. The object has the functions of `export_c` and
+    the beginning of a log, of which hardware/src/plant.hpp describes the layout. Raises
+    ParameterError if the scene cannot be exported; OSError without a C compiler.
+    """
+    library = Path(library).resolve()
+    with TemporaryDirectory() as folder:
+        export_c(scene, folder)
+        Path(folder, 'scene.c').write_text(_scene_in_c(scene, values, folder))
+        content = link(folder, ['scene.c', 'arm.o'], 'arm_*')
+    library.parent.mkdir(parents=True, exist_ok=True)
+    with whole_file(library) as path:
+        path.write_bytes(content)
+    block = ElementTree.Element('ros2_control', name='timo_sim_hardware', type='system')
+    hardware = ElementTree.SubElement(block, 'hardware')
+    ElementTree.SubElement(hardware, 'plugin').text = 'timo_sim_hardware/System'
+    _add(hardware, scene_library=library, real_time_factor=values['real_time_factor'],
+         publish_clock=str(values['publish_clock']).lower(),
+         record_file=(values['record_file'] or 'timo_sim.mcap') if values['record'] else '')
+    for joint, force in zip(JOINTS, ('force', 'force', 'torque')):
+        element = ElementTree.SubElement(block, 'joint', name=joint)
+        for kind, name in _commands(scene).get(joint, {}).items():
+            _add(ElementTree.SubElement(element, 'command_interface', name=kind), input=name)
+        _add_states(element, {'position': joint, 'velocity': f'{joint}_velocity',
+                              'effort': f'{joint}_{force}'})
+    for name, states in _sensors(scene).items():
+        _add_states(ElementTree.SubElement(block, 'sensor', name=name), states)
+    ElementTree.indent(block, level=1)
+    block.tail = '\n'
+    return block
+
+
+def _commands(scene):
+    """Return the inputs of a scene by joint and command interface."""
+    held, dc = scene.values['carrier.held'], scene.values['motor.dc.resistance'] > 0.0
+    free = {'x': 'force_x', 'y': 'force_y'}
+    found = {f'carrier_{axis}': {'effort': name} for axis, name in free.items()
+             if held not in (axis, 'both')}
+    if scene.values['motor.shaft'] == 'free':
+        found['shaft'] = {'voltage': 'voltage'} if dc else {'effort': 'torque'}
+    return found
+
+
+def _sensors(scene):
+    """Return outputs and constants by sensor and state interface, named as for broadcasters."""
+    turned = {'orientation.x': 0.0, 'orientation.y': 0.0,
+              'orientation.z': 'sin_half(tip_rotation)', 'orientation.w': 'cos_half(tip_rotation)'}
+    return {
+        'root': {'strain': 'root_strain'},
+        'tip': {'axial': 'tip_axial', 'transverse': 'tip_transverse', 'rotation': 'tip_rotation'},
+        'tip_pose': {'position.x': 'tip_x', 'position.y': 'tip_y', 'position.z': 0.0, **turned},
+        'tip_imu': {
+            **turned, 'angular_velocity.x': 0.0, 'angular_velocity.y': 0.0,
+            'angular_velocity.z': 'tip_turning', 'linear_acceleration.x': 'tip_acceleration_x',
+            'linear_acceleration.y': 'tip_acceleration_y',
+            'linear_acceleration.z': gravity_along_z(math.hypot(*scene.values['gravity']))}}
+
+
+def _add_states(parent, states):
+    for name, source in states.items():
+        element = ElementTree.SubElement(parent, 'state_interface', name=name)
+        _add(element, **{'output' if isinstance(source, str) else 'initial_value': source})
+
+
+def _add(parent, **parameters):
+    for name, value in parameters.items():
+        ElementTree.SubElement(parent, 'param', name=name).text = str(value)
+
+
+def _scene_in_c(scene, values, folder):
+    """Return the C source of what the shared object has besides the functions of `export_c`."""
+    log = NewLog(Path(folder, 'head.mcap'), scene, values)
+    head = log.path.read_bytes()
+    log.close()
+    channels = {each.topic: each.id for each in LogFile(log.path).summary.channels.values()}
+    interface, modes = interface_of(scene, False), range(1, scene.modal_count + 1)
+    inputs, results = ([each.title for each in group]
+                       for group in (interface.inputs, interface.outputs))
+    torque = [name for name in _commands(scene).get('shaft', {}).values() if name == 'torque']
+    efforts = [Number('force_x'), Number('force_y'),
+               Number('torque') if torque else math.nan]  # NaN leaves the shaft as it is
+    shown = {'joint_states': [*JOINTS, *(f'{name}_velocity' for name in JOINTS),
+                              'carrier_x_force', 'carrier_y_force', 'shaft_torque'],
+             '~/tip_deflection': ['tip_axial', 'tip_transverse'],
+             '~/modal_state': [f'mode_{n}{end}' for end in ('', '_rate') for n in modes]}
+    # Name, type, template, what its numbers are, whether they are inputs.
+    logged = [('~/joint_command', 'sensor_msgs/msg/JointState',
+               {'name': [*JOINTS], 'effort': efforts}, ['force_x', 'force_y', *torque], True)]
+    if 'voltage' in inputs:
+        logged.append(('~/motor_voltage', 'std_msgs/msg/Float64', {'data': Number('voltage')},
+                       ['voltage'], True))
+    logged += [(each.name, each.type_name, in_frames(each.template, frame_names(values)),
+                shown[each.name], False)
+               for each in outputs(scene.modal_count) if each.name in shown]
+    data, fields, messages = b'', [], []
+    for name, type_name, template, titles, commanded in logged:
+        message, layout, places = form(type_name, template)
+        channel = channels[name.replace('~', '/timo_sim') if '~' in name else f'/{name}']
+        stamp, = layout.stamps or [-1]
+        messages.append(f'{{{channel}, {commanded:d}, {len(message)}, {stamp}, '
+                        f'data + {len(data)}, {len(places)}, fields + {len(fields)}}}')
+        numbers = inputs if commanded else results
+        fields += [f'{{{layout.doubles[place]}, {numbers.index(title)}}}'
+                   for place, title in zip(places, titles, strict=True)]
+        data += message
+    return _C % (', '.join(fields), ','.join(map(str, head)), ','.join(map(str, data)),
+                 ', '.join(messages), scene.step, len(messages))
