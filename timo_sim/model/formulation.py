@@ -443,13 +443,21 @@ class PointsOfArm:
 
     def deflection(self: Any, xi: ArrayLike | None = None) -> np.ndarray:
         """Return axial and transverse deflection in the arm frame, (n, 2) or (n, p, 2) [m]."""
+        if xi is None:
+            return self._tips()[..., :2] - [self.model.tip_point.lever[0], 0.0]
         points = self._points(xi)
         straight = np.column_stack([points.lever, np.zeros_like(points.xi)])
         return self._pick(xi, self.model.centre_line(self.motion.q, points) - straight)
 
     def rotation(self: Any, xi: ArrayLike | None = None) -> np.ndarray:
         """Return the rotation of sections relative to the shaft, (n,) or (n, p) [rad]."""
+        if xi is None:
+            return self._tips()[..., 2]
         return self._pick(xi, self.model.section_rotation(self.motion.q, self._points(xi)))
+
+    def _tips(self: Any) -> np.ndarray:
+        motions = self.motion.values
+        return self.model.tips(np.atleast_2d(motions)).reshape(*motions.shape[:-1], 3)
 
     def _points(self: Any, xi: ArrayLike | None) -> Points:
         if xi is None:
