@@ -282,6 +282,12 @@ def test_a_log_of_an_old_version_is_refused_with_the_version_that_reads_it(log):
         'replay', log, code=2)
 
 
+def test_a_log_is_read_without_parameters_that_are_no_more(log):
+    falsify(log, b'"rate.encoder": 100.0', b'"rate.arm_shape": 1.0')
+    assert b'"rate.arm_shape": 1.0' in log.read_bytes()
+    assert 'all are the same to the last bit' in call('replay', log)
+
+
 def test_a_changed_scene_gives_differences_with_time_and_unit(log, tmp_path, monkeypatch):
     monkeypatch.chdir(tmp_path)
     text = call('replay', log, '--set', 'model.modes=5', '--set', 'end_effector.mass=2.5')

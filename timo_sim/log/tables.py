@@ -28,7 +28,7 @@ from timo_sim.log.read import files_of, LogError, LogFile
 from timo_sim.log.write import (
     Chunk, in_wall_time, information, original_names, printable, RESET, TEXT, yaml_text)
 from timo_sim.scene.files import whole_file
-from timo_sim.scene.parameters import frame_names, ParameterError, PARAMETERS, SPLIT
+from timo_sim.scene.parameters import frame_names, GONE, ParameterError, PARAMETERS, SPLIT
 from timo_sim.scene.scene import load_scene
 from timo_sim.topics.cdr import CdrError, layout
 from timo_sim.topics.commands import COMMANDS, LARGEST_COMMAND, RefusedError
@@ -182,7 +182,8 @@ class Recording:
     @cached_property
     def parameters(self) -> dict[str, Any]:
         """All logged parameters of the node that are still known, not checked."""
-        return {name: value for name, value in self._logged_parameters.items() if name != SPLIT}
+        return {name: value for name, value in self._logged_parameters.items()
+                if name not in GONE}
 
     @cached_property
     def _logged_parameters(self):

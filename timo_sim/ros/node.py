@@ -108,15 +108,10 @@ class SimNode(ParameterNode):
         outlets = [self._make_outlet(output) for output in outputs(scene.modal_count)
                    if output.name != '/clock' or self._values['publish_clock']]
         try:
-            if self._values['publish_arm_shape']:
-                from timo_sim.ros.arm_shape import ArmShape
-                outlets.append(ArmShape(self, self._simulator.model, self.frames['world']))
             outlets.append(MotionOutlet(self, TRANSFORMS, self.frames, self._values['publish_tf']))
         except ModuleNotFoundError as error:
-            name = 'publish_tf' if error.name == 'tf2_msgs' else 'publish_arm_shape'
-            package = str(error.name).replace('_', '-')
-            raise ParameterError(f'{name} needs {error.name}, which is not installed: '
-                                 f'apt-get install ros-$ROS_DISTRO-{package}') from None
+            raise ParameterError(f'publish_tf needs {error.name}, which is not installed: apt-get '
+                                 'install ros-$ROS_DISTRO-tf2-msgs') from None
         return outlets
 
     def _make_outlet(self, output):
