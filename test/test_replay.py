@@ -22,6 +22,7 @@ from rosbags.typesys import get_typestore, Stores
 
 import timo_sim
 from timo_sim.cli import main
+from timo_sim.log.read import LogError
 from timo_sim.log.tables import Recording
 from timo_sim.log.write import CHANGE, change_note, Channel, NewLog, Recorder, RESET
 from timo_sim.scene.parameters import PARAMETERS
@@ -286,6 +287,14 @@ def test_a_log_is_read_without_parameters_that_are_no_more(log):
     falsify(log, b'"rate.encoder": 100.0', b'"rate.arm_shape": 1.0')
     assert b'"rate.arm_shape": 1.0' in log.read_bytes()
     assert 'all are the same to the last bit' in call('replay', log)
+
+
+def test_views_say_what_a_bag_or_log_lacks(bag, log, tmp_path):
+    for file, missing in (bag, '/timo_sim/scene, so'), (log, 'modal_state of /timo_sim'):
+        text = call('view', file, '--gif', tmp_path / 'run.gif', code=2)
+        assert f'has no {missing}' in text and text.count('\n') == 1
+    with pytest.raises(LogError, match='has no /timo_sim/scene'):
+        timo_sim.open_log(bag)
 
 
 def test_a_changed_scene_gives_differences_with_time_and_unit(log, tmp_path, monkeypatch):

@@ -29,7 +29,7 @@ from timo_sim.extras import optional
 from timo_sim.version import __version__
 
 # Errors by name, because most of their modules are not imported here.
-_WRONG_INPUT = 'FileNotFoundError', 'LogError', 'ParameterError', 'TrackError'
+_WRONG_INPUT = 'FileNotFoundError', 'LogError', 'ParameterError'
 
 
 def _show_warning(message, category, filename, lineno, file=None, line=None):
@@ -550,7 +550,7 @@ def view(files: tuple[str, ...], save: str | None, png: str | None, gif: str | N
     r"""
     Show recorded runs, laid over each other, in rerun or as an animation.
 
-    FILES are logs of the node, or bags of its topics. Everything stays on this machine.
+    FILES are logs of the node, or bags with its ~/scene. Everything stays on this machine.
 
     \b
         timo_sim view run.mcap

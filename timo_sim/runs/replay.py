@@ -53,7 +53,7 @@ def open_log(path: str | Path, node: str | None = None) -> Run:
     Raises
     ------
     LogError
-        If the file is not a log, or is a plain bag, without a scene.
+        If the file is not a log, or is a bag without ~/scene.
 
     Examples
     --------
@@ -64,9 +64,6 @@ def open_log(path: str | Path, node: str | None = None) -> Run:
 
     """
     recording = Recording(path, node)
-    if recording.scene is None:
-        raise LogError(f'{recording.title} is a plain bag, which does not contain the scene: '
-                       'timo_sim export makes a table of it')
     _, ns, motion = recording.motion()
     scene = recording.scene
     heat = np.full(len(ns), np.nan) if scene.friction.any() else np.zeros(len(ns))
