@@ -127,22 +127,30 @@ def default_scene(tmp_path):
     return tmp_path / 'scene.yaml'
 
 
-def test_a_bag_with_a_reset_is_replayed_with_it_also_in_parts(tmp_path, default_scene):
+def test_a_bag_without_its_scene_is_replayed_also_in_parts(tmp_path, default_scene):
+    torques = [(0.1, 1.0), (0.7, -2.0)]
+    motion = states_of(torques, 0.9)
+    states = [(0.01 * k, 10 * k, state) for k, state in enumerate(motion)]
+    for size in (0, 12):
+        bag = bag_of_runs(tmp_path / f'bag{size}', torques, states, size)
+        assert len([*bag.iterdir()]) == (1 if not size else 8)
+        text = call('replay', bag, '--scene', default_scene, '-o', tmp_path / f'{size}.mcap')
+        assert f'{bag}' in text and '2 commands and 0 resets in 0.9 s' in text
+        found = Recording(tmp_path / f'{size}.mcap')
+        assert found.topics['~/motor_torque'].step.tolist() == [100, 700]
+        assert np.abs(found.topics['joint_states'].values[:, :6] - motion).max() < 1e-12
+    (bag / 'bag_3.mcap').unlink()
+    assert 'has 7 files *.mcap: name one' in call('replay', bag, '--scene', default_scene, code=2)
+
+
+def test_a_bag_with_a_reset_but_without_its_scene_is_refused(tmp_path, default_scene):
     """The bag does not say that ~/reset was called; its joint states go back to the start."""
     before, after = states_of([(0.1, 1.0)], 0.5), states_of([(0.2, -2.0)], 0.4)
     states = [(0.01 * k, 10 * k, state) for k, state in enumerate(before)]
     states += [(0.51 + 0.01 * k, 500 + 10 * k, state) for k, state in enumerate(after)]
-    for size in (0, 12):  # twelve files: bag_10 comes after bag_9
-        bag = bag_of_runs(tmp_path / f'bag{size}', [(0.1, 1.0), (0.71, -2.0)], states, size)
-        assert len([*bag.iterdir()]) == (1 if not size else 8)
-        text = call('replay', bag, '--scene', default_scene, '-o', tmp_path / f'{size}.mcap')
-        assert f'{bag}' in text and '2 commands and 1 resets in 0.9 s' in text
-        found = Recording(tmp_path / f'{size}.mcap')
-        assert found.topics['~/motor_torque'].step.tolist() == [100, 700]
-        assert np.abs(found.topics['joint_states'].values[:, :6] - np.vstack(
-            [before, after])).max() < 1e-12
-    (bag / 'bag_3.mcap').unlink()
-    assert 'has 7 files *.mcap: name one' in call('replay', bag, '--scene', default_scene, code=2)
+    bag = bag_of_runs(tmp_path / 'bag', [(0.1, 1.0), (0.71, -2.0)], states)
+    assert 'start of the scene at log time 1700000000633456789 ns, as by a reset' in call(
+        'replay', bag, '--scene', default_scene, code=2)
 
 
 def test_a_bag_that_spans_two_runs_is_refused_with_the_place(tmp_path, default_scene):
