@@ -108,7 +108,7 @@ _node = click.option('--node', metavar='NAME', help='Full name of the node, if a
 def bode(scene: str, settings: tuple[str, ...], cause: str, effects: tuple[str, ...],
          picture: str) -> None:
     r"""
-    Draw the Bode diagram of SCENE, a file or a name, about its initial state, and print its poles.
+    Draw the Bode diagram of SCENE, a file or a name, about its initial state.
 
     \b
         timo_sim bode paper --set arm.damping_ratio=0.01 -o bode.png
@@ -118,7 +118,6 @@ def bode(scene: str, settings: tuple[str, ...], cause: str, effects: tuple[str, 
     from timo_sim.view import plot
     model = linearize(load_scene(scene, parse_settings(settings))).select([cause], effects)
     plot.write(plot.bode(model), picture)
-    click.echo(f'poles [Hz]: {", ".join(f"{each:.3g}" for each in model.frequencies())}')
     click.echo(f'{picture} is drawn')
 
 
