@@ -514,13 +514,13 @@ def urdf(scene: str, settings: tuple[str, ...], library: str | None) -> None:
     arm; the link arm includes the inertia of the shaft. Links have the names of the frames.
     """
     from timo_sim.scene.files import read_parameter_file
-    from timo_sim.scene.parameters import check, frame_names, PARAMETERS
+    from timo_sim.scene.parameters import check, DEFAULTS, frame_names
     from timo_sim.scene.scene import load_scene
     from timo_sim.scene.urdf import urdf_of
     changes = parse_settings(settings)
     loaded = load_scene(scene, changes)
-    values = {name: parameter.default for name, parameter in PARAMETERS.items()}
-    values.update(check({**read_parameter_file(scene), **changes}, scene))
+    own = check({**read_parameter_file(scene), **changes}, scene)
+    values = {**DEFAULTS, **own, **loaded.values}
     control = None
     if library:
         from timo_sim.runs.ros2_control import write_hardware

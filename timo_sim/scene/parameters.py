@@ -394,6 +394,7 @@ _ALL = [
 ]
 
 PARAMETERS = {parameter.name: parameter for parameter in _ALL}
+DEFAULTS = {name: parameter.default for name, parameter in PARAMETERS.items()}
 RATES = [name for name in PARAMETERS if name.startswith('rate.')]
 DELAYS = [name for name in PARAMETERS if name.endswith('.delay')]
 
