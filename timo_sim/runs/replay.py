@@ -28,8 +28,7 @@ from timo_sim.runs.simulate import resolve
 from timo_sim.runs.run import Run
 from timo_sim.scene.files import read_parameter_file
 from timo_sim.scene.parameters import (
-    check, frame_names, LATEST, Parameter, ParameterError, PARAMETERS, SPLIT, steps_in,
-    whole_ratio)
+    check, DEFAULTS, frame_names, LATEST, Parameter, ParameterError, SPLIT, steps_in, whole_ratio)
 from timo_sim.scene.scene import Scene, scene_from
 from timo_sim.simulation.simulator import CARRIER, Simulator
 from timo_sim.simulation.warnings import DivergenceError
@@ -150,10 +149,7 @@ def _values(recording, scene_file, changes):
     else:
         raise ParameterError(f'{recording.title} is a plain bag without {recording.name}/scene: '
                              'give its scene by --scene')
-    values = {name: parameter.default for name, parameter in PARAMETERS.items()}
-    values.update(check(given, source))
-    values.update(check(changes, '--set'))
-    return values
+    return {**DEFAULTS, **check(given, source), **check(changes, '--set')}
 
 
 @dataclass

@@ -31,8 +31,8 @@ from timo_sim.scene.files import flatten, read_parameter_file
 from timo_sim.scene.loads import (
     CHANNELS, check_slope, Drive, Harmonic, Load, Piecewise, Table)
 from timo_sim.scene.parameters import (
-    changed, check, DELAYS, did_you_mean, Parameter, ParameterError, PARAMETERS, SCENE, short,
-    today, warn, whole_ratio)
+    changed, check, DEFAULTS, DELAYS, did_you_mean, Parameter, ParameterError, PARAMETERS, SCENE,
+    short, today, warn, whole_ratio)
 
 # Ranges of real solids; `load_scene` warns of values outside.
 _PLAUSIBLE = {'young_modulus': (1e5, 2e12, 'Pa'), 'density': (10.0, 25000.0, 'kg/m3')}
@@ -264,9 +264,7 @@ def load_scene(source: SceneLike, overrides: Mapping[str, Any] | None = None) ->
         given, origin = flatten(source), 'given values'
     else:
         given, origin = read_parameter_file(source), str(source)
-    values = {name: parameter.default for name, parameter in PARAMETERS.items()}
-    values.update(check(given, origin))
-    values.update(check(flatten(overrides or {}), 'override'))
+    values = {**DEFAULTS, **check(given, origin), **check(flatten(overrides or {}), 'override')}
     doubts = find_implausible(values)
     if doubts:
         warn(doubts)
