@@ -198,7 +198,7 @@ def log_of(path, scene, torques, last):
     values = {**{name: entry.default for name, entry in PARAMETERS.items()}, **scene.values}
     recorder = Recorder(path, [Channel('/joint_states', joints.type_name),
                                Channel('/timo_sim/motor_torque', 'std_msgs/msg/Float64')],
-                        {START: start_note('/timo_sim', values, {}, scene)})
+                        {START: start_note('/timo_sim', values)})
     serialize = Serializer(joints.type_name, joints.template)
     run = timo_sim.simulate(scene.vary({
         'load.torque.piecewise.time': [1e-3 * step for step, _ in torques],

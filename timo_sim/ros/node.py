@@ -28,7 +28,7 @@ from timo_sim.ros.parameters import ParameterNode, steps_between_messages
 from timo_sim.ros.topics import Commands, LateOutlet, Latched, MotionOutlet, RunLog
 from timo_sim.runs.simulate import resolve
 from timo_sim.scene.parameters import (
-    changed, frame_names, LATEST, ParameterError, PARAMETERS, SCENE)
+    frame_names, LATEST, ParameterError, PARAMETERS, SCENE)
 from timo_sim.scene.scene import find_implausible, Scene, scene_from
 from timo_sim.simulation.simulator import CARRIER, Simulator, STEPS_BEHIND
 from timo_sim.simulation.snapshot import Snapshot
@@ -138,8 +138,8 @@ class SimNode(ParameterNode):
         if self._values['record']:
             self._log.open(
                 self._values['record_file'], self._commands.channels, outlets,
-                start_note(self.get_fully_qualified_name(), self._values, changed(self._values),
-                           self._simulator.scene), self._values['record_time'] == 'wall')
+                start_note(self.get_fully_qualified_name(), self._values),
+                self._values['record_time'] == 'wall')
         self._loop.check_subscribers()
         for outlet in self._scene_topic, self._description:
             outlet.check_subscribers()
