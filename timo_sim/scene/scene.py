@@ -47,15 +47,6 @@ _OF_MATERIAL = 'density', 'young_modulus', 'shear_modulus'
 _SCENE_NAMES = [name for name, parameter in PARAMETERS.items() if parameter.scope == SCENE]
 
 
-class _Values(dict):
-    # Values of parameters, which are found by older names, too.
-
-    def __missing__(self, name):
-        if today(name) == name:
-            raise KeyError(name)
-        return self[today(name)]
-
-
 @dataclass(frozen=True, repr=False)
 class Scene:
     """
@@ -190,7 +181,7 @@ class Scene:
         return {**state, 'values': dict(self.values)}
 
     def __setstate__(self, state):
-        self.__dict__.update(state, values=MappingProxyType(_Values(state['values'])))
+        self.__dict__.update(state, values=MappingProxyType(state['values']))
 
     def initial_motion(self, model: Formulation | None = None) -> np.ndarray:
         """Return the motion at t = 0, shape (2 (3 + N),), of the scene's or another model."""
@@ -273,9 +264,9 @@ def load_scene(source: SceneLike, overrides: Mapping[str, Any] | None = None) ->
 
 def scene_from(values: Mapping[str, Any]) -> Scene:
     """Return the Scene of checked values, or raise ParameterError if they do not fit together."""
-    values = MappingProxyType(_Values({
+    values = MappingProxyType({
         name: tuple(value) if isinstance(value := values[name], list) else value
-        for name in _SCENE_NAMES}))
+        for name in _SCENE_NAMES})
     check_counts(values)
     check_initial(values)
     check_push(values)
