@@ -40,6 +40,5 @@ setup(
         ('share/timo_sim', ['package.xml', 'pyproject.toml', 'README.md']),
         ('share/timo_sim/config', sorted(glob('config/*'))),
         ('share/timo_sim/launch', sorted(glob('launch/*.launch.py'))),
-        ('share/timo_sim/urdf', sorted(glob('urdf/timo_sim.*'))),
     ],
 )

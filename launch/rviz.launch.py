@@ -16,7 +16,7 @@ from launch.substitutions import LaunchConfiguration
 from launch_ros.actions import Node
 from launch_ros.parameter_descriptions import ParameterValue
 
-_VIEW = Path(__file__).resolve().parents[1] / 'urdf/timo_sim.rviz'
+_VIEW = Path(__file__).resolve().parents[1] / 'config/timo_sim.rviz'
 
 
 def generate_launch_description():

@@ -278,7 +278,8 @@ def test_a_discrete_model_knows_its_period():
         ['torque_N_m'], ['tip_transverse_m'])
     sampled = model.to_discrete(0.002)
     assert sampled.dt == 0.002 and sampled.to_control().dt == 0.002
-    assert sampled.frequencies() == pytest.approx(model.frequencies(), rel=1e-6)
+    ours, theirs = sampled.poles(), model.poles()
+    assert ours[ours.imag > 1.0] == pytest.approx(theirs[theirs.imag > 1.0], rel=1e-6)
     # A zero-order hold delays by half a period: 1e-3 s of phase at low frequencies.
     frequency = np.array([0.5, 1.0])
     ratio = (sampled.frequency_response(frequency) / model.frequency_response(frequency))[:, 0, 0]

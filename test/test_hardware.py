@@ -34,7 +34,8 @@ SCENES = {
     'paper': ({}, {'force_x': FORCE_X, 'force_y': FORCE_Y, 'torque': TORQUE}),
     'voltage, weight': (
         {'motor.dc.resistance': 2.0, 'motor.dc.torque_constant': 0.5, 'gravity': [0.0, -3.0],
-         'frame_prefix': 'left/', 'record_file': 'its.mcap', 'real_time_factor': 0.0},
+         'arm.material': 'titanium', 'frame_prefix': 'left/', 'record_file': 'its.mcap',
+         'real_time_factor': 0.0},
         {'force_x': FORCE_X, 'voltage': VOLTAGE}),
 }
 
@@ -116,8 +117,8 @@ def test_urdf(program, tmp_path):
     """Interfaces are those of standard broadcasters; held joints and other motors have others."""
     changes, _ = SCENES['voltage, weight']
     library, urdf = export(tmp_path, {**changes, 'carrier.held': 'y'})
-    assert [each.get('name') for each in urdf.iterfind('joint') if each.get('type') != 'fixed'] == [
-        'carrier_x', 'carrier_y', 'shaft']
+    assert [joint.get('name') for joint in urdf.iterfind('joint')
+            if joint.get('type') != 'fixed'] == ['carrier_x', 'carrier_y', 'shaft']
     block, = urdf.findall('ros2_control')
     assert {each.get('name'): each.text for each in block.iterfind('hardware/param')} == {
         'scene_library': str(library), 'real_time_factor': '0.0', 'publish_clock': 'false',

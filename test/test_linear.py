@@ -311,7 +311,7 @@ def test_bode_diagram_from_the_command_line(tmp_path):
     result = CliRunner().invoke(main, ['bode', str(scene), '--output', str(picture),
                                        '--set', 'model.modes=3'])
     assert result.exit_code == 0, result.output
-    assert 'poles [Hz]: 4.27, 9.96, 30.6' in result.output and picture.stat().st_size > 20000
+    assert result.output == f'{picture} is drawn\n' and picture.stat().st_size > 20000
     for picture, name, words in ((picture, 'tip', "output 'tip' is none of"),
                                  ('bode.foo', 'shaft_rad', 'bode.foo cannot be drawn: Format')):
         result = CliRunner().invoke(

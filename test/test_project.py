@@ -290,7 +290,7 @@ def test_colcon_builds_and_the_installed_node_runs(installed, tmp_path):
     prefix, environment = installed
     share = prefix / 'share' / 'timo_sim'
     assert (prefix / 'share/ament_index/resource_index/packages/timo_sim').exists()
-    for folder in 'config', 'launch', 'urdf':
+    for folder in 'config', 'launch':
         for path in (ROOT / folder).glob('*.*'):
             assert (share / folder / path.name).read_text() == path.read_text()
     assert (share / 'package.xml').exists() and any(prefix.rglob('compiled/prebuilt/*.bc'))

@@ -22,6 +22,7 @@ from rosbags.typesys import get_typestore, Stores
 
 import timo_sim
 from timo_sim.cli import main
+from timo_sim.log.read import LogError
 from timo_sim.log.tables import Recording
 from timo_sim.log.write import CHANGE, change_note, Channel, NewLog, Recorder, RESET
 from timo_sim.scene.parameters import PARAMETERS
@@ -126,22 +127,30 @@ def default_scene(tmp_path):
     return tmp_path / 'scene.yaml'
 
 
-def test_a_bag_with_a_reset_is_replayed_with_it_also_in_parts(tmp_path, default_scene):
+def test_a_bag_without_its_scene_is_replayed_also_in_parts(tmp_path, default_scene):
+    torques = [(0.1, 1.0), (0.7, -2.0)]
+    motion = states_of(torques, 0.9)
+    states = [(0.01 * k, 10 * k, state) for k, state in enumerate(motion)]
+    for size in (0, 12):
+        bag = bag_of_runs(tmp_path / f'bag{size}', torques, states, size)
+        assert len([*bag.iterdir()]) == (1 if not size else 8)
+        text = call('replay', bag, '--scene', default_scene, '-o', tmp_path / f'{size}.mcap')
+        assert f'{bag}' in text and '2 commands and 0 resets in 0.9 s' in text
+        found = Recording(tmp_path / f'{size}.mcap')
+        assert found.topics['~/motor_torque'].step.tolist() == [100, 700]
+        assert np.abs(found.topics['joint_states'].values[:, :6] - motion).max() < 1e-12
+    (bag / 'bag_3.mcap').unlink()
+    assert 'has 7 files *.mcap: name one' in call('replay', bag, '--scene', default_scene, code=2)
+
+
+def test_a_bag_with_a_reset_but_without_its_scene_is_refused(tmp_path, default_scene):
     """The bag does not say that ~/reset was called; its joint states go back to the start."""
     before, after = states_of([(0.1, 1.0)], 0.5), states_of([(0.2, -2.0)], 0.4)
     states = [(0.01 * k, 10 * k, state) for k, state in enumerate(before)]
     states += [(0.51 + 0.01 * k, 500 + 10 * k, state) for k, state in enumerate(after)]
-    for size in (0, 12):  # twelve files: bag_10 comes after bag_9
-        bag = bag_of_runs(tmp_path / f'bag{size}', [(0.1, 1.0), (0.71, -2.0)], states, size)
-        assert len([*bag.iterdir()]) == (1 if not size else 8)
-        text = call('replay', bag, '--scene', default_scene, '-o', tmp_path / f'{size}.mcap')
-        assert f'{bag}' in text and '2 commands and 1 resets in 0.9 s' in text
-        found = Recording(tmp_path / f'{size}.mcap')
-        assert found.topics['~/motor_torque'].step.tolist() == [100, 700]
-        assert np.abs(found.topics['joint_states'].values[:, :6] - np.vstack(
-            [before, after])).max() < 1e-12
-    (bag / 'bag_3.mcap').unlink()
-    assert 'has 7 files *.mcap: name one' in call('replay', bag, '--scene', default_scene, code=2)
+    bag = bag_of_runs(tmp_path / 'bag', [(0.1, 1.0), (0.71, -2.0)], states)
+    assert 'start of the scene at log time 1700000000633456789 ns, as by a reset' in call(
+        'replay', bag, '--scene', default_scene, code=2)
 
 
 def test_a_bag_that_spans_two_runs_is_refused_with_the_place(tmp_path, default_scene):
@@ -189,7 +198,7 @@ def log_of(path, scene, torques, last):
     values = {**{name: entry.default for name, entry in PARAMETERS.items()}, **scene.values}
     recorder = Recorder(path, [Channel('/joint_states', joints.type_name),
                                Channel('/timo_sim/motor_torque', 'std_msgs/msg/Float64')],
-                        {START: start_note('/timo_sim', values, {}, scene)})
+                        {START: start_note('/timo_sim', values)})
     serialize = Serializer(joints.type_name, joints.template)
     run = timo_sim.simulate(scene.vary({
         'load.torque.piecewise.time': [1e-3 * step for step, _ in torques],
@@ -280,6 +289,20 @@ def test_a_log_of_an_old_version_is_refused_with_the_version_that_reads_it(log):
     log.write_bytes(log.read_bytes().replace(timo_sim.__version__.encode(), b'0.1.0'))
     assert 'run.mcap is of timo_sim 0.1.0, whose logs timo_sim 0.2.0 was the last to read' in call(
         'replay', log, code=2)
+
+
+def test_a_log_is_read_without_parameters_that_are_no_more(log):
+    falsify(log, b'"rate.encoder": 100.0', b'"rate.arm_shape": 1.0')
+    assert b'"rate.arm_shape": 1.0' in log.read_bytes()
+    assert 'all are the same to the last bit' in call('replay', log)
+
+
+def test_views_say_what_a_bag_or_log_lacks(bag, log, tmp_path):
+    for file, missing in (bag, '/timo_sim/scene, so'), (log, 'modal_state of /timo_sim'):
+        text = call('view', file, '--gif', tmp_path / 'run.gif', code=2)
+        assert f'has no {missing}' in text and text.count('\n') == 1
+    with pytest.raises(LogError, match='has no /timo_sim/scene'):
+        timo_sim.open_log(bag)
 
 
 def test_a_changed_scene_gives_differences_with_time_and_unit(log, tmp_path, monkeypatch):

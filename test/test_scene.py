@@ -75,6 +75,7 @@ REFUSED = [
     ('load', {'torqe': {'harmonic': {'phase': [0.0]}}}, 'did you mean load.torque.harmonic'),
     ('motor.torque_limit', 0.0, 'must be a number > 0 N m, .inf for no limit, got 0.0'),
     ('integrator.tolerance', 1e-6, 'any more: .* smaller integrator.step'),
+    ('rate.arm_shape', 50.0, 'any more: publish_tf'),
     ('arm', {'length': {'x': 1}}, 'arm.length.x = 1 is not a parameter'),
     ('record', 1, 'record must be true or false, got 1'),
     ('record_file', 3, 'record_file must be a text, got 3')

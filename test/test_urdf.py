@@ -23,7 +23,7 @@ from timo_sim.topics.commands import JOINTS
 
 urdf_parser_py = pytest.importorskip('urdf_parser_py.urdf')
 
-URDF = Path(__file__).resolve().parents[1] / 'urdf' / 'timo_sim.urdf'
+URDF = Path(__file__).resolve().parents[1] / 'timo_sim/scene/timo_sim.urdf'
 TAPERED = {'arm.profile.position': [0.0, 2.0], 'arm.profile.height': [0.06, 0.02],
            'carrier.mass': 7.0, 'motor.mass': 3.0, 'end_effector.mass': 0.5, 'hub.radius': 0.1}
 

@@ -114,8 +114,8 @@ def test_a_heavy_arm_vibrates_about_its_bend():
                                  'motor.shaft': 'locked', 'arm.height': 0.005,
                                  'initial.shaft': 0.4, 'arm.damping_ratio': [0.01]})
     found = timo_sim.modes(scene)
-    linear = timo_sim.linearize(scene.vary({'initial.equilibrium': True}))
-    assert found.frequency == pytest.approx(linear.frequencies(), rel=1e-9)
+    poles = timo_sim.linearize(scene.vary({'initial.equilibrium': True})).poles()
+    assert found.poles == pytest.approx(poles[poles.imag > 0.0], rel=1e-9)
     assert abs(found.model.tip(found.motion.values)[2]) > 0.3
     assert timo_sim.modes(scene.vary({'motor.shaft': 'free'}), 0.0).poles == pytest.approx(
         found.poles, rel=1e-9)

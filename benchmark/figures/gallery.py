@@ -90,7 +90,7 @@ def spin_up():
 def resonance():
     """Draw the response to a torque at and below the first frequency; return the caption."""
     rest = timo_sim.load_scene({**FINE, 'initial.shaft': 0.0})
-    first = timo_sim.linearize(rest).frequencies()[0]
+    first = timo_sim.modes(rest).frequency[0]
 
     def driven(ratio, damping):
         return timo_sim.simulate(rest.vary({
@@ -179,8 +179,8 @@ def standing():
     angle.grid(False)
     time.legend(handles=[*time.lines, *angle.lines], loc='upper right')
     save(figure, 'standing')
-    swing, vibration = timo_sim.linearize(scene.vary({
-        'load.torque.piecewise.value': [0.0, 0.0], 'initial.shaft': -1.6})).frequencies()[:2]
+    swing, vibration = timo_sim.modes(scene.vary({
+        'load.torque.piecewise.value': [0.0, 0.0], 'initial.shaft': -1.6})).frequency[:2]
     return (f'A torque of {run.effort[0, 2]:g} N m bears the arm at rest {below[0]:.1f} degrees '
             f'below the horizontal; the weight bends it by {-1e3 * across[0]:.1f} mm. When the '
             f'torque ends, the arm springs back to {1e3 * across.max():.0f} mm on the other side '

@@ -360,7 +360,7 @@ def test_killed_nodes_leave_logs_that_can_be_recovered(start, client, tmp_path):
         names = [entry for entry, _ in notes]
         assert names == ['timo_sim', *['timo_sim.reset'] * (len(names) - 2), 'rosbag2']
         assert 'timo_sim.reset' in names  # twice where the answer to the first was lost
-        assert set(notes[0][1]) >= {'parameters', 'initial_motion', 'timo_sim'}
+        assert set(notes[0][1]) >= {'parameters', 'changed', 'timo_sim'}
 
 
 def test_a_log_that_is_still_being_written_is_called_that(start, client, tmp_path):

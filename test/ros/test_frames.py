@@ -20,7 +20,6 @@ from rosbags.rosbag2 import StoragePlugin, Writer
 from rosbags.typesys import get_typestore, Stores
 from scipy.integrate import solve_ivp
 from sensor_msgs.msg import Imu, JointState
-from visualization_msgs.msg import Marker
 
 import timo_sim
 from timo_sim.log.tables import Recording
@@ -45,12 +44,11 @@ def wrench_in(frame, x):
 
 
 def test_frames_of_topics_commands_log_and_replay(start, client, tmp_path):
-    node = start('-r', '__ns:=/left', publish_arm_shape=True, record_sensors=True,
+    node = start('-r', '__ns:=/left', record_sensors=True,
                  **{'initial.shaft': 0.5, 'initial.shaft_velocity': 1.0}, **GIVEN)
     for kind, topic, frame in (
             (Vector3Stamped, 'tip_deflection', 'arm'), (PoseStamped, 'tip_pose', 'world'),
-            (PoseStamped, 'carrier_pose', 'world'), (Imu, 'tip_imu/data_raw', 'tip'),
-            (Marker, 'arm_shape', 'world')):
+            (PoseStamped, 'carrier_pose', 'world'), (Imu, 'tip_imu/data_raw', 'tip')):
         messages = client.collect(kind, f'/left/timo_sim/{topic}')
         client.wait(lambda: messages, topic)
         assert messages[-1].header.frame_id == NAMES[frame]

@@ -22,7 +22,6 @@ import numpy as np
 import pytest
 from ros_process import PATIENCE
 from sensor_msgs.msg import JointState
-from visualization_msgs.msg import Marker
 import yaml
 
 import timo_sim
@@ -85,18 +84,6 @@ def test_neither_a_missing_viewer_nor_a_long_table_stops_the_node(start, tmp_pat
     assert code == 0 and 'simulated 1 s' in output
     assert re.search(r'\[WARN\].*no viewer listens at \S+:\d+/proxy yet: ', output)
     assert 'Error' not in output
-
-
-def test_the_arm_has_its_shape_in_rviz(start, client, paper):
-    start('--params-file', str(paper), publish_arm_shape=True, **{'rate.arm_shape': 100.0})
-    markers = client.collect(Marker, '/timo_sim/arm_shape')
-    client.wait(lambda: len(markers) > 30, 'markers')
-    marker = markers[-1]
-    step = round(1e3 * (marker.header.stamp.sec + 1e-9 * marker.header.stamp.nanosec))
-    assert marker.header.frame_id == 'world' and marker.type == Marker.LINE_STRIP
-    run = timo_sim.simulate(timo_sim.load_scene(paper), 1e-3 * step)
-    for point, xi in zip(marker.points, np.linspace(0.0, 2.0, len(marker.points))):
-        assert np.allclose([point.x, point.y, point.z], [*run.position(xi)[-1], 0.0], atol=1e-12)
 
 
 def turn(half_sine, half_cosine):

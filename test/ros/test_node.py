@@ -21,7 +21,6 @@ from rosgraph_msgs.msg import Clock
 from sensor_msgs.msg import JointState
 from std_msgs.msg import Float64
 from std_srvs.srv import SetBool, Trigger
-from visualization_msgs.msg import Marker
 
 import timo_sim
 from timo_sim.log.tables import Recording
@@ -206,12 +205,12 @@ def shown(client, message_type, topic):
 
 
 def test_a_paused_node_shows_its_state(start, client):
-    node = start(start_paused=True, steps_per_call=7, publish_clock=True, publish_arm_shape=True,
-                 **{'initial.shaft_velocity': 1.0})
+    node = start(start_paused=True, steps_per_call=7, publish_clock=True, **{
+        'initial.shaft_velocity': 1.0})
     step = client.service(Trigger, '/timo_sim/step')
     assert step().message == 'at step 7'
-    for kind, topic in ((Clock, '/clock'), (Marker, '/timo_sim/arm_shape'),
-                        (PoseStamped, '/timo_sim/tip_pose'), (JointState, '/timo_sim/encoder')):
+    for kind, topic in ((Clock, '/clock'), (PoseStamped, '/timo_sim/tip_pose'),
+                        (JointState, '/timo_sim/encoder')):
         messages = shown(client, kind, topic)
         assert {*map(nanoseconds, messages)} == {7000000}
     states = shown(client, JointState, '/joint_states')

@@ -78,7 +78,7 @@ sys.modules['simulation_interfaces'] = None  # not installed
 from timo_sim.cli.sim_node import main
 assert main.__doc__ is None
 assert main(['--ros-args', '-p', 'duration:=0.05', '-p', 'record_file:=run.mcap']) == 0
-needless = {'rerun', 'timo_sim.view', 'visualization_msgs', 'tf2_msgs', 'rclpy.action',
+needless = {'rerun', 'timo_sim.view', 'tf2_msgs', 'rclpy.action',
             'matplotlib', 'tqdm', 'pandas', 'scipy.integrate', 'scipy.interpolate',
             'scipy.signal', 'scipy.stats'} & {*sys.modules}
 assert not needless, needless

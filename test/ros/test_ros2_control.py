@@ -28,7 +28,7 @@ ROOT = Path(__file__).resolve().parents[2]
 
 
 def test_controllers_have_joints_and_interfaces_of_the_urdf_and_the_rate_of_the_node():
-    block = ElementTree.parse(ROOT / 'urdf/timo_sim.urdf').find('ros2_control')
+    block = ElementTree.parse(ROOT / 'timo_sim/scene/timo_sim.urdf').find('ros2_control')
     commands, states = ({f'{joint.get("name")}/{interface.get("name")}'
                          for joint in block.iterfind('joint')
                          for interface in joint.iterfind(f'{kind}_interface')}

@@ -17,7 +17,7 @@ from tf2_msgs.msg import TFMessage
 
 import timo_sim
 
-URDF = Path(__file__).resolve().parents[2] / 'urdf' / 'timo_sim.urdf'
+URDF = Path(__file__).resolve().parents[2] / 'timo_sim/scene/timo_sim.urdf'
 
 
 def test_a_node_turns_the_frames_with_the_shaft_and_the_tip(start, client, paper):

@@ -130,4 +130,4 @@ def test_rviz_gets_namespace_and_time(launch, installed, tmp_path):
     _, view, *_ = told.splitlines()
     displays = yaml.safe_load(Path(view).read_text())['Visualization Manager']['Displays']
     topics = [display[key]['Value'] for display in displays for key in display if 'Topic' in key]
-    assert topics == ['robot_description', 'timo_sim/arm_shape']  # relative, in the namespace
+    assert topics == ['robot_description']  # relative, in the namespace

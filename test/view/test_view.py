@@ -19,7 +19,6 @@ import socket
 import subprocess
 import sys
 import time
-from types import SimpleNamespace
 import urllib.request
 from xml.etree import ElementTree
 
@@ -39,7 +38,7 @@ from timo_sim.simulation.energy import work
 from timo_sim.view import rerun
 from timo_sim.view.plot import animate
 from timo_sim.view.rerun import picture, write
-from timo_sim.view.track import track_of_recording, track_of_run, TrackError
+from timo_sim.view.track import track_of_recording, track_of_run
 
 CONFIG = Path(__file__).resolve().parents[2] / 'config'
 LENGTH, AT = 2.0, 1.782
@@ -273,45 +272,6 @@ def test_work_is_exact_for_a_constant_force_and_zero_at_a_reset():
     assert np.allclose(done, np.diff(2.0 * t**3 + 6.0 * t), rtol=1e-12, atol=0.0)
     x[3:] += 7.0  # a jump at the same time
     assert work(np.rint(t * 1e9), x, speed, np.tile([2.0, 3.0], (6, 1)))[2] == 0.0
-
-
-def bag(run):
-    """Return a recording like that of a plain bag of the node's topics of a run, at 100 Hz."""
-    track, part = track_of_run(run), slice(None, None, 5)
-    pose = run.shaft + run.rotation(LENGTH)
-    series = {
-        'joint_states': np.hstack([track.trace(panel).values[part] for panel in (
-            'carrier', 'shaft', 'carrier_velocity', 'shaft_speed', 'force', 'torque')]),
-        '~/tip_pose': np.column_stack([
-            run.position(LENGTH), np.sin(0.5 * pose), np.cos(0.5 * pose)])[part],
-        '~/tip_deflection': run.deflection(LENGTH)[part]}
-    order = np.arange(len(track.ns[part]))
-    order[[2, 3]] = 3, 2  # one message was late
-    series = {name: SimpleNamespace(ns=track.ns[part][order], values=values[order])
-              for name, values in series.items()}
-    return SimpleNamespace(path='bag.mcap', scene=None, read=lambda *names: series)
-
-
-def test_the_shape_on_a_plain_bag_comes_from_the_tip(run):
-    track = track_of_recording(bag(run), 'bag')
-    assert 'cubic' in track.note and track.trace('energy') is None
-    assert track.body.length == pytest.approx(LENGTH, abs=1e-12)
-    drawn = track.poses(slice(None)).line
-    true = track_of_run(run).poses(slice(None, None, 5)).line
-    bend = np.abs(run.deflection(LENGTH)[:, 1]).max()
-    assert np.abs(drawn[:, [0, -1]] - true[:, [0, -1]]).max() < 1e-12
-    # The first mode of an arm with a heavy tip is nearly a cubic.
-    assert np.abs(drawn - true).max() < 0.03 * bend
-
-
-def test_a_bag_without_the_topics_of_the_shape_is_refused(run):
-    recording = bag(run)
-    del recording.read()['~/tip_pose']
-    with pytest.raises(TrackError, match='bag.mcap: the shape of the arm needs tip_pose'):
-        track_of_recording(recording, 'bag')
-    del recording.read()['joint_states']
-    with pytest.raises(TrackError, match='no joint_states'):
-        track_of_recording(recording, 'bag')
 
 
 def test_two_runs_share_panels_and_have_their_difference(run, paper, tmp_path):

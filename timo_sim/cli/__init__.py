@@ -29,7 +29,7 @@ from timo_sim.extras import optional
 from timo_sim.version import __version__
 
 # Errors by name, because most of their modules are not imported here.
-_WRONG_INPUT = 'FileNotFoundError', 'LogError', 'ParameterError', 'TrackError'
+_WRONG_INPUT = 'FileNotFoundError', 'LogError', 'ParameterError'
 
 
 def _show_warning(message, category, filename, lineno, file=None, line=None):
@@ -108,7 +108,7 @@ _node = click.option('--node', metavar='NAME', help='Full name of the node, if a
 def bode(scene: str, settings: tuple[str, ...], cause: str, effects: tuple[str, ...],
          picture: str) -> None:
     r"""
-    Draw the Bode diagram of SCENE, a file or a name, about its initial state, and print its poles.
+    Draw the Bode diagram of SCENE, a file or a name, about its initial state.
 
     \b
         timo_sim bode paper --set arm.damping_ratio=0.01 -o bode.png
@@ -118,7 +118,6 @@ def bode(scene: str, settings: tuple[str, ...], cause: str, effects: tuple[str, 
     from timo_sim.view import plot
     model = linearize(load_scene(scene, parse_settings(settings))).select([cause], effects)
     plot.write(plot.bode(model), picture)
-    click.echo(f'poles [Hz]: {", ".join(f"{each:.3g}" for each in model.frequencies())}')
     click.echo(f'{picture} is drawn')
 
 
@@ -515,13 +514,13 @@ def urdf(scene: str, settings: tuple[str, ...], library: str | None) -> None:
     arm; the link arm includes the inertia of the shaft. Links have the names of the frames.
     """
     from timo_sim.scene.files import read_parameter_file
-    from timo_sim.scene.parameters import check, frame_names, PARAMETERS
+    from timo_sim.scene.parameters import check, DEFAULTS, frame_names
     from timo_sim.scene.scene import load_scene
     from timo_sim.scene.urdf import urdf_of
     changes = parse_settings(settings)
     loaded = load_scene(scene, changes)
-    values = {name: parameter.default for name, parameter in PARAMETERS.items()}
-    values.update(check({**read_parameter_file(scene), **changes}, scene))
+    own = check({**read_parameter_file(scene), **changes}, scene)
+    values = {**DEFAULTS, **own, **loaded.values}
     control = None
     if library:
         from timo_sim.runs.ros2_control import write_hardware
@@ -550,7 +549,7 @@ def view(files: tuple[str, ...], save: str | None, png: str | None, gif: str | N
     r"""
     Show recorded runs, laid over each other, in rerun or as an animation.
 
-    FILES are logs of the node, or bags of its topics. Everything stays on this machine.
+    FILES are logs of the node, or bags with its ~/scene. Everything stays on this machine.
 
     \b
         timo_sim view run.mcap

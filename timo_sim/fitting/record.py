@@ -31,7 +31,7 @@ from timo_sim.log.tables import Recording
 from timo_sim.model.layout import INPUTS, with_unit
 from timo_sim.runs.replay import segments_of
 from timo_sim.scene.files import read_yaml
-from timo_sim.scene.parameters import did_you_mean, Parameter, ParameterError, PARAMETERS, short
+from timo_sim.scene.parameters import DEFAULTS, did_you_mean, Parameter, ParameterError, short
 from timo_sim.scene.scene import Scene
 from timo_sim.topics.commands import COMMANDED, COMMANDS
 from timo_sim.topics.outputs import SENSORS, title
@@ -473,8 +473,7 @@ def read_log(path: str | Path, scene: Scene | None = None,
     own = recording.scene or scene
     if own is None:
         raise ParameterError(f'scene must be given with {path}, a plain bag, which has none')
-    defaults = {name: parameter.default for name, parameter in PARAMETERS.items()}
-    values = {**defaults, **(recording.parameters if recording.facts else {})}
+    values = {**DEFAULTS, **(recording.parameters if recording.facts else {})}
     segment = segments_of(recording, own, values)[-1]
     if segment.changes:
         step, changes = segment.changes[0]

@@ -28,7 +28,7 @@ from timo_sim.log.read import files_of, LogError, LogFile
 from timo_sim.log.write import (
     Chunk, in_wall_time, information, original_names, printable, RESET, TEXT, yaml_text)
 from timo_sim.scene.files import whole_file
-from timo_sim.scene.parameters import frame_names, ParameterError, PARAMETERS, SPLIT
+from timo_sim.scene.parameters import frame_names, GONE, ParameterError, PARAMETERS, SPLIT
 from timo_sim.scene.scene import load_scene
 from timo_sim.topics.cdr import CdrError, layout
 from timo_sim.topics.commands import COMMANDS, LARGEST_COMMAND, RefusedError
@@ -182,7 +182,8 @@ class Recording:
     @cached_property
     def parameters(self) -> dict[str, Any]:
         """All logged parameters of the node that are still known, not checked."""
-        return {name: value for name, value in self._logged_parameters.items() if name != SPLIT}
+        return {name: value for name, value in self._logged_parameters.items()
+                if name not in GONE}
 
     @cached_property
     def _logged_parameters(self):
@@ -253,14 +254,18 @@ class Recording:
 
         `series` is what `read` returned for these, if they have been read already. The results are
         time step and sim time [ns], int64, shape (n,), and the motion, shape (n, 2 (3 + N)), see
-        `model.layout`. The step of a reset may occur twice: before and after it.
+        `model.layout`. The step of a reset may occur twice: before and after it. Raises LogError
+        if these topics or the scene are missing.
         """
+        if self.scene is None:
+            raise self.lacks(f'{self.name}/scene, so that the simulated scene is not known: '
+                             'timo_sim export makes a table of it')
         found = self.read('joint_states', '~/modal_state') if series is None else series
         if 'joint_states' not in found:
             raise self.lacks(f'joint_states of {self.name}')
         joints, modes = found['joint_states'], found.get('~/modal_state')
         if modes is None:
-            if self.scene is None or self.scene.modal_count:
+            if self.scene.modal_count:
                 raise self.lacks(f'modal_state of {self.name}')
             return joints.step, joints.ns, joints.values[:, :6]
         first, second = common(joints.ns, modes.ns)

@@ -60,11 +60,10 @@ CHANGE = 'timo_sim.change'
 ENVIRONMENT = ('timo_sim', 'python', 'numpy', 'scipy', 'numba', 'machine', 'processor')
 
 
-def start_note(node: str, values: dict, changed: dict, scene: Scene) -> dict[str, str]:
-    """Return the metadata for the start of a run; `changed` are values other than defaults."""
-    return {
-        'node': node, 'parameters': _json(values), 'changed': _json(changed),
-        'initial_motion': json.dumps(scene.initial_motion().tolist()), **_environment()}
+def start_note(node: str, values: dict) -> dict[str, str]:
+    """Return the metadata for the start of a run of a node with these parameters."""
+    return {'node': node, 'parameters': _json(values), 'changed': _json(changed(values)),
+            **_environment()}
 
 
 def change_note(step: int, values: dict) -> dict[str, str]:
@@ -482,7 +481,7 @@ class NewLog(Recorder):
             channels.append(Channel(topic, output.type_name))
         channels.append(Channel(f'{namespace}/{DESCRIPTION}', TEXT, durability='transient_local'))
         super().__init__(path, channels, {
-            START: {**start_note(node, values, changed(values), scene), **notes}})
+            START: {**start_note(node, values), **notes}})
         self.write(len(channels) - 1, 0, 0, description(scene, frames))
         self._frames_due, self._frames_period = 0, round(1e9 / values[TRANSFORMS.rate])
 

@@ -28,7 +28,7 @@ from timo_sim.ros.parameters import ParameterNode, steps_between_messages
 from timo_sim.ros.topics import Commands, LateOutlet, Latched, MotionOutlet, RunLog
 from timo_sim.runs.simulate import resolve
 from timo_sim.scene.parameters import (
-    changed, frame_names, LATEST, ParameterError, PARAMETERS, SCENE)
+    frame_names, LATEST, ParameterError, PARAMETERS, SCENE)
 from timo_sim.scene.scene import find_implausible, Scene, scene_from
 from timo_sim.simulation.simulator import CARRIER, Simulator, STEPS_BEHIND
 from timo_sim.simulation.snapshot import Snapshot
@@ -108,15 +108,10 @@ class SimNode(ParameterNode):
         outlets = [self._make_outlet(output) for output in outputs(scene.modal_count)
                    if output.name != '/clock' or self._values['publish_clock']]
         try:
-            if self._values['publish_arm_shape']:
-                from timo_sim.ros.arm_shape import ArmShape
-                outlets.append(ArmShape(self, self._simulator.model, self.frames['world']))
             outlets.append(MotionOutlet(self, TRANSFORMS, self.frames, self._values['publish_tf']))
         except ModuleNotFoundError as error:
-            name = 'publish_tf' if error.name == 'tf2_msgs' else 'publish_arm_shape'
-            package = str(error.name).replace('_', '-')
-            raise ParameterError(f'{name} needs {error.name}, which is not installed: '
-                                 f'apt-get install ros-$ROS_DISTRO-{package}') from None
+            raise ParameterError(f'publish_tf needs {error.name}, which is not installed: apt-get '
+                                 'install ros-$ROS_DISTRO-tf2-msgs') from None
         return outlets
 
     def _make_outlet(self, output):
@@ -143,8 +138,8 @@ class SimNode(ParameterNode):
         if self._values['record']:
             self._log.open(
                 self._values['record_file'], self._commands.channels, outlets,
-                start_note(self.get_fully_qualified_name(), self._values, changed(self._values),
-                           self._simulator.scene), self._values['record_time'] == 'wall')
+                start_note(self.get_fully_qualified_name(), self._values),
+                self._values['record_time'] == 'wall')
         self._loop.check_subscribers()
         for outlet in self._scene_topic, self._description:
             outlet.check_subscribers()

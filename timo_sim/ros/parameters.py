@@ -28,7 +28,8 @@ from rclpy.subscription import Subscription
 
 from timo_sim.scene.files import is_of_rclpy, QOS
 from timo_sim.scene.parameters import (
-    check, did_you_mean, Parameter as Rule, ParameterError, PARAMETERS, RATES, short, whole_ratio)
+    check, DEFAULTS, did_you_mean, Parameter as Rule, ParameterError, PARAMETERS, RATES, short,
+    whole_ratio)
 
 _SOURCE = 'set at run time'
 # QoS policies that can be set. With history keep_all a slow subscriber would hold up the node.
@@ -52,9 +53,7 @@ class ParameterNode(Node):
             value = given.pop(name)
             if name.startswith(QOS):
                 _check_qos(name, value)
-        values = {name: parameter.default for name, parameter in PARAMETERS.items()}
-        values.update(check(given, 'ROS parameter'))
-        return values
+        return {**DEFAULTS, **check(given, 'ROS parameter')}
 
     def declare(self, values: dict[str, Any], apply: Callable[[dict[str, Any]], None]) -> None:
         """

@@ -49,11 +49,11 @@ class Outlet:
     """
     A publisher that also hands its messages to the log, and knows whether anybody wants them.
 
-    If it is `logged`, they go to the `channel` with an `index` of a `recorder`, once there is one;
-    with `always_logged` also those that nobody receives. Unless it `publishes`, it only logs.
+    They go to the `channel` with an `index` of a `recorder`, once there is one; with
+    `always_logged` also those that nobody receives. Unless it `publishes`, it only logs.
     """
 
-    logged = always_logged = True
+    always_logged = True
     durability = DurabilityPolicy.VOLATILE
 
     def __init__(self, node, topic, type_name, publishes=True):
@@ -342,7 +342,6 @@ class RunLog:
         """
         # ~ comes as it is from parameter files, and from -p in some shells.
         path = os.path.expanduser(path or f'timo_sim_{datetime.now():%Y%m%d_%H%M%S}.mcap')
-        outlets = [outlet for outlet in outlets if outlet.logged]
         logged = [*channels, *(outlet.channel for outlet in outlets)]
         try:
             self._recorder = Recorder(path, logged, {START: {**note, **names_note(logged)}}, wall)

@@ -28,8 +28,7 @@ from timo_sim.runs.simulate import resolve
 from timo_sim.runs.run import Run
 from timo_sim.scene.files import read_parameter_file
 from timo_sim.scene.parameters import (
-    check, frame_names, LATEST, Parameter, ParameterError, PARAMETERS, SPLIT, steps_in,
-    whole_ratio)
+    check, DEFAULTS, frame_names, LATEST, Parameter, ParameterError, SPLIT, steps_in, whole_ratio)
 from timo_sim.scene.scene import Scene, scene_from
 from timo_sim.simulation.simulator import CARRIER, Simulator
 from timo_sim.simulation.warnings import DivergenceError
@@ -53,7 +52,7 @@ def open_log(path: str | Path, node: str | None = None) -> Run:
     Raises
     ------
     LogError
-        If the file is not a log, or is a plain bag, without a scene.
+        If the file is not a log, or is a bag without ~/scene.
 
     Examples
     --------
@@ -64,9 +63,6 @@ def open_log(path: str | Path, node: str | None = None) -> Run:
 
     """
     recording = Recording(path, node)
-    if recording.scene is None:
-        raise LogError(f'{recording.title} is a plain bag, which does not contain the scene: '
-                       'timo_sim export makes a table of it')
     _, ns, motion = recording.motion()
     scene = recording.scene
     heat = np.full(len(ns), np.nan) if scene.friction.any() else np.zeros(len(ns))
@@ -153,10 +149,7 @@ def _values(recording, scene_file, changes):
     else:
         raise ParameterError(f'{recording.title} is a plain bag without {recording.name}/scene: '
                              'give its scene by --scene')
-    values = {name: parameter.default for name, parameter in PARAMETERS.items()}
-    values.update(check(given, source))
-    values.update(check(changes, '--set'))
-    return values
+    return {**DEFAULTS, **check(given, source), **check(changes, '--set')}
 
 
 @dataclass
@@ -218,14 +211,11 @@ def segments_of(recording: Recording, scene: Scene, values: Mapping[str, Any], s
     delays = _delays_in_steps(known, recording.scene, scene.step) if own else {}
     last = _last_step(commanding, {name: at + delays[name] for name, at in published.items()},
                       motions, shift, scene, duration)
+    ends = [last]
     if recording.facts:
-        resets = _steps_of(recording.resets, recording, scene)
-        before = [series.resets for _, series, _ in commanding]
-    else:
-        logged, ns = _resets_of_bag(motions, scene)
-        resets = _to_steps(1e-9 * ns / scene.step, False, scene.step, 'the resets')
-        before = [np.searchsorted(logged, series.log_ns, 'right') for _, series, _ in commanding]
-    ends = [*resets.tolist(), last]
+        ends = [*_steps_of(recording.resets, recording, scene).tolist(), last]
+    elif 'joint_states' in motions:
+        _refuse_reset(recording, motions['joint_states'], scene)
     unlogged = {'/clock', *(name for name, output in known.items()
                             if output.delay and not values.get('record_sensors'))}
     # Delayed messages that are not yet published at the end, or at a reset, are lost.
@@ -237,8 +227,8 @@ def segments_of(recording: Recording, scene: Scene, values: Mapping[str, Any], s
         if end < first:
             break
         inside = [(int(at[k]), kind, series.values[k], series.data[k])
-                  for (kind, series, at), count in zip(commanding, before)
-                  for k in np.flatnonzero((count == number) & (at < end))]
+                  for kind, series, at in commanding
+                  for k in np.flatnonzero((series.resets == number) & (at < end))]
         changes = [(int(_steps_of(step, recording, scene)), values)
                    for count, (step, _, values) in zip(changed, recording.changes)
                    if count == number]
@@ -285,19 +275,16 @@ def _with_timeouts(commands, recording, scene, end):
     return sorted(result, key=lambda entry: entry[:2])
 
 
-def _resets_of_bag(motions, scene):
-    """Return log and sim times [ns] at which a bag's motion is suddenly that of the start."""
-    motion = scene.initial_motion()
-    for name, part in (('joint_states', slice(3)), ('~/modal_state', slice(3, None))):
-        start = np.concatenate([half[part] for half in np.split(motion, 2)])
-        series = motions.get(name)
-        if series is None or series.values.shape[1] < len(start):
-            continue
-        there = np.isclose(series.values[:, :len(start)], start, rtol=1e-9, atol=1e-12).all(axis=1)
-        again = 1 + np.flatnonzero(there[1:] & ~there[:-1])
-        if len(again):
-            return series.log_ns[again], series.ns[again]
-    return np.zeros(0), np.zeros(0)
+def _refuse_reset(recording, joints, scene):
+    """Raise LogError if joint states in a bag without ~/scene go back to the scene's start."""
+    start = scene.initial_motion()
+    start = np.append(start[:3], start[len(start) // 2:][:3])
+    there = np.isclose(joints.values[:, :6], start, rtol=1e-9, atol=1e-12).all(axis=1)
+    again = 1 + np.flatnonzero(there[1:] & ~there[:-1])
+    if len(again):
+        raise LogError(f'{recording.title}: joint_states go back to the start of the scene at log '
+                       f'time {joints.log_ns[again[0]]} ns, as by a reset: cut the bag there, or '
+                       f'record {recording.name}/scene, too')
 
 
 def _steps_of(steps, recording, scene):

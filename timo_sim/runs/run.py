@@ -23,7 +23,7 @@ import numpy as np
 from timo_sim.extras import optional
 from timo_sim.model.formulation import Formulation, PointsOfArm
 from timo_sim.model.layout import FORCE_X, FORCE_Y, LOADS, Motion, MotionFields, TORQUE
-from timo_sim.scene.parameters import PARAMETERS, warn
+from timo_sim.scene.parameters import DEFAULTS, warn
 from timo_sim.scene.scene import Scene
 from timo_sim.simulation.energy import integral
 from timo_sim.simulation.loads import pieces
@@ -245,8 +245,7 @@ class Run(MotionFields, PointsOfArm):
         if path.suffix != '.mcap':
             write_table(self.columns(), path)
             return path
-        values = {name: parameter.default for name, parameter in PARAMETERS.items()}
-        log = NewLog(path, self.scene, {**values, **self.scene.values}, saved_by='Run.save')
+        log = NewLog(path, self.scene, {**DEFAULTS, **self.scene.values}, saved_by='Run.save')
         try:
             for snapshot in self._snapshots():
                 for output in self._outputs():

@@ -24,22 +24,14 @@ from timo_sim.scene.parameters import (
 
 QOS = 'qos_overrides.'  # prefix of rclpy's parameters for the QoS of topics
 _MAX_DEPTH = max(name.count('.') for name in PARAMETERS)
-# In a clone, config/ and urdf/ are beside the package. Once installed, they are in
-# PREFIX/share/timo_sim, and the package is in PREFIX/lib/python3.x/site-packages.
+# In a clone, config/ is beside the package. Once installed, it is in PREFIX/share/timo_sim, and
+# the package is in PREFIX/lib/python3.x/site-packages.
 _PARENTS = [*Path(__file__).resolve().parents[2:]]
-_SHARED = [_PARENTS[0], *(prefix / 'share/timo_sim' for prefix in _PARENTS[3:4])]
-_FOLDERS = [folder / 'config' for folder in _SHARED]
-
-
+_FOLDERS = [_PARENTS[0] / 'config',
+            *(prefix / 'share/timo_sim/config' for prefix in _PARENTS[3:4])]
 _GROUPS = {name.partition('.')[0] for name in PARAMETERS}
 _A_SCENE = ('a scene is YAML, such as "arm: {length: 0.8}"; timo_sim new my_arm.yaml writes one '
             'to begin with')
-
-
-def shared_file(path: str) -> Path:
-    """Return the path of a file that is installed with the package, as urdf/timo_sim.urdf."""
-    return next((folder / path for folder in _SHARED if (folder / path).exists()),
-                _SHARED[-1] / path)
 
 
 @contextmanager
@@ -105,22 +97,22 @@ def read_parameter_file(path: Path | str, text: str | None = None) -> dict[str, 
         content = read_yaml(path) if text is None else parse_yaml(text, path)
     except ParameterError as error:
         raise ParameterError(f'{error}; {_A_SCENE}') from None
-    if isinstance(content, Mapping) and content and not _has_sections(content):
+    if not isinstance(content, Mapping):
+        raise ParameterError(f'{path} is not a scene: {_A_SCENE}')
+    if content and not _has_sections(content):
         values = flatten(content)
         if not {name.partition('.')[0] for name in values} & _GROUPS:
             raise ParameterError(f'{path} is not a scene, it has {short(", ".join(values), str)}: '
                                  + _A_SCENE)
-        return {name: value for name, value in values.items() if not is_of_rclpy(name)}
-    if not isinstance(content, Mapping):
-        raise ParameterError(f'{path} is not a scene: {_A_SCENE}')
-    sections, values = _sections(content, path), {}
-    for node, section in sections.items():
-        if is_for(node, '/timo_sim'):
-            values.update(section)
-    if not values:
-        others = f'; it has those of {short(", ".join(sections), str)}' if sections else ''
-        raise ParameterError(
-            f'{path} must have parameters under timo_sim: ros__parameters:{others}')
+    else:
+        sections, values = _sections(content, path), {}
+        for node, section in sections.items():
+            if is_for(node, '/timo_sim'):
+                values.update(section)
+        if not values:
+            others = f'; it has those of {short(", ".join(sections), str)}' if sections else ''
+            raise ParameterError(
+                f'{path} must have parameters under timo_sim: ros__parameters:{others}')
     return {name: value for name, value in values.items() if not is_of_rclpy(name)}
 
 

@@ -372,7 +372,6 @@ _ALL = [
               scope=NODE, runtime=True),
     Parameter('publish_clock', False, '', 'whether sim time is published on /clock', scope=NODE),
     *[_rate(output.rate, output.name, 100.0) for output in _OUTPUTS],
-    _rate('rate.arm_shape', '~/arm_shape', 50.0),
     _rate(TRANSFORMS.rate, TRANSFORMS.name, 25.0),
     Parameter('frame_prefix', '', '', 'prefix of the names of all frames but world', form=(
         f'({_FRAME})?', 'empty or a text without blanks that does not begin with /'), scope=NODE),
@@ -390,19 +389,22 @@ _ALL = [
               f'{_SENSOR_TOPICS[-1]} are logged also while nobody subscribes', scope=NODE),
     Parameter('rerun_live', '', '', 'address of a running viewer of rerun to which the motion is '
               'streamed, such as rerun+http://127.0.0.1:9876/proxy; empty: none', scope=NODE),
-    Parameter('publish_arm_shape', False, '', 'whether the centre line is published on '
-              '~/arm_shape, for RViz; needs visualization_msgs', scope=NODE),
     Parameter('publish_tf', False, '', 'whether the frames of the bent arm are published on /tf, '
               'and the URDF on robot_description; needs tf2_msgs', scope=NODE),
 ]
 
 PARAMETERS = {parameter.name: parameter for parameter in _ALL}
+DEFAULTS = {name: parameter.default for name, parameter in PARAMETERS.items()}
 RATES = [name for name in PARAMETERS if name.startswith('rate.')]
 DELAYS = [name for name in PARAMETERS if name.endswith('.delay')]
 
 
 _TIP = 'end_effector.mass', 'end_effector.inertia'
-SPLIT = 'integrator.tolerance'  # 0.2.0 split steps by it; its logs are read without it
+SPLIT = 'integrator.tolerance'  # 0.2.0 split steps by it
+# Parameters of 0.2.0, whose logs are read without them, and what there is instead.
+GONE = {SPLIT: 'steps are not split, take a smaller integrator.step',
+        **dict.fromkeys(('publish_arm_shape', 'rate.arm_shape'),
+                        'publish_tf shows the bent arm by links of the URDF')}
 
 
 def check(values: Mapping[str, Any], source: str) -> dict[str, Any]:
@@ -415,9 +417,8 @@ def check(values: Mapping[str, Any], source: str) -> dict[str, Any]:
     checked: dict[str, Any] = {}
     for name, value in values.items():
         name, before = today(name), checked.get(today(name))
-        if name == SPLIT:
-            raise ParameterError(f'{SPLIT} is not a parameter any more: steps are not split, take '
-                                 f'a smaller integrator.step ({source})')
+        if name in GONE:
+            raise ParameterError(f'{name} is not a parameter any more: {GONE[name]} ({source})')
         if name not in PARAMETERS:
             raise ParameterError(f'{short(name, str)} = {short(value)} is not a parameter of '
                                  f'timo_sim ({source}){did_you_mean(name, PARAMETERS)}')

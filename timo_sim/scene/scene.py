@@ -31,8 +31,8 @@ from timo_sim.scene.files import flatten, read_parameter_file
 from timo_sim.scene.loads import (
     CHANNELS, check_slope, Drive, Harmonic, Load, Piecewise, Table)
 from timo_sim.scene.parameters import (
-    changed, check, DELAYS, did_you_mean, Parameter, ParameterError, PARAMETERS, SCENE, short,
-    today, warn, whole_ratio)
+    changed, check, DEFAULTS, DELAYS, did_you_mean, Parameter, ParameterError, PARAMETERS, SCENE,
+    short, today, warn, whole_ratio)
 
 # Ranges of real solids; `load_scene` warns of values outside.
 _PLAUSIBLE = {'young_modulus': (1e5, 2e12, 'Pa'), 'density': (10.0, 25000.0, 'kg/m3')}
@@ -45,15 +45,6 @@ _MAX_LENGTH = 30.0  # longest arm that is not taken for one in millimetres [m]
 _MIN_SLENDERNESS = 3.0  # length over height; a shorter arm is a block, not a beam
 _OF_MATERIAL = 'density', 'young_modulus', 'shear_modulus'
 _SCENE_NAMES = [name for name, parameter in PARAMETERS.items() if parameter.scope == SCENE]
-
-
-class _Values(dict):
-    # Values of parameters, which are found by older names, too.
-
-    def __missing__(self, name):
-        if today(name) == name:
-            raise KeyError(name)
-        return self[today(name)]
 
 
 @dataclass(frozen=True, repr=False)
@@ -190,7 +181,7 @@ class Scene:
         return {**state, 'values': dict(self.values)}
 
     def __setstate__(self, state):
-        self.__dict__.update(state, values=MappingProxyType(_Values(state['values'])))
+        self.__dict__.update(state, values=MappingProxyType(state['values']))
 
     def initial_motion(self, model: Formulation | None = None) -> np.ndarray:
         """Return the motion at t = 0, shape (2 (3 + N),), of the scene's or another model."""
@@ -264,9 +255,7 @@ def load_scene(source: SceneLike, overrides: Mapping[str, Any] | None = None) ->
         given, origin = flatten(source), 'given values'
     else:
         given, origin = read_parameter_file(source), str(source)
-    values = {name: parameter.default for name, parameter in PARAMETERS.items()}
-    values.update(check(given, origin))
-    values.update(check(flatten(overrides or {}), 'override'))
+    values = {**DEFAULTS, **check(given, origin), **check(flatten(overrides or {}), 'override')}
     doubts = find_implausible(values)
     if doubts:
         warn(doubts)
@@ -275,9 +264,9 @@ def load_scene(source: SceneLike, overrides: Mapping[str, Any] | None = None) ->
 
 def scene_from(values: Mapping[str, Any]) -> Scene:
     """Return the Scene of checked values, or raise ParameterError if they do not fit together."""
-    values = MappingProxyType(_Values({
+    values = MappingProxyType({
         name: tuple(value) if isinstance(value := values[name], list) else value
-        for name in _SCENE_NAMES}))
+        for name in _SCENE_NAMES})
     check_counts(values)
     check_initial(values)
     check_push(values)

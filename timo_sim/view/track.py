@@ -6,7 +6,7 @@
 # WARRANTIES OR CONDITIONS OF ANY KIND, either express or implied. See the License for the specific
 # language governing permissions and limitations under the License.
 
-"""Tracks: what a view shows of a run, made of a `Run`, of a log of the node or of a plain bag."""
+"""Tracks: what a view shows of a run, made of a `Run` or of a log."""
 
 from __future__ import annotations
 
@@ -17,20 +17,15 @@ from typing import Any, NamedTuple
 import numpy as np
 
 from timo_sim.log.tables import Recording
-from timo_sim.model.layout import INPUTS, rotate
+from timo_sim.model.layout import INPUTS
 from timo_sim.scene.parameters import Parameter
 from timo_sim.scene.scene import Scene
 from timo_sim.simulation.energy import integral, work
 from timo_sim.simulation.loads import pieces
 
 FPS = Parameter('--fps', 30.0, 'Hz', 'frames', low=0.0, high=1e6, open_low=True)
-_POINTS = 41     # of the line that is drawn of a bag
 _BLOCK = 1024    # samples that are computed at once: their arrays stay in the processor's cache
 _BESIDE = 0.08   # from the carrier to the arrow of gravity, and its length, in arm lengths
-
-
-class TrackError(ValueError):
-    """What a view needs is missing; the text says what."""
 
 
 class Body(NamedTuple):
@@ -78,8 +73,7 @@ class Track:
     A run in the form that views take.
 
     `ns` are the sim times of n samples, not descending [ns]; `poses` returns the Poses at some of
-    them; `note` says in Markdown how its shape is known. `floor` is None without gravity, and
-    where the scene is not known.
+    them; `note` describes it in Markdown. `floor` is None without gravity.
     """
 
     name: str
@@ -114,25 +108,16 @@ def track_of_run(run: Any, name: str = 'run') -> Track:
 
 
 def track_of_recording(recording: Recording, name: str) -> Track:
-    """
-    Return the track of a `log.tables.Recording`.
-
-    Without modal coordinates the shape is a cubic from root to tip. Raises TrackError if topics
-    that the shape needs are missing.
-    """
-    scene, series = recording.scene, recording.read('joint_states', '~/modal_state')
-    joints = series.get('joint_states')
-    if joints is None or not len(joints.ns):
-        raise TrackError(f'{recording.path} has no joint_states: there is nothing to show')
-    if scene is None or scene.modal_count and '~/modal_state' not in series:
-        return _of_bag(recording, name, joints)
+    """Return the track of a `log.tables.Recording`; raise LogError if it lacks a motion."""
+    series = recording.read('joint_states', '~/modal_state')
     _, ns, motion = recording.motion(series)
     if not len(ns):
-        raise TrackError(f'{recording.path}: joint_states and modal_state are never of the same '
-                         'time: choose rates of which one is a multiple of the other')
+        raise recording.lacks('joint_states with a modal_state of the same time: choose rates of '
+                              'which one is a multiple of the other')
+    joints = series['joint_states']
     place = slice(None) if len(ns) == len(joints.ns) else (
         np.searchsorted(joints.ns, ns, side='right') - 1)
-    return track_of_motion(name, scene, ns, motion, joints.values[place, 6:9],
+    return track_of_motion(name, recording.scene, ns, motion, joints.values[place, 6:9],
                            payloads=recording.payloads)
 
 
@@ -213,51 +198,6 @@ def body_of(scene: Scene) -> Body:
     return Body(body.hub_radius + arm.length, float(np.max(arm.section.height)),
                 size(body.carrier_mass, 1.0), size(body.motor_mass, np.pi / 4),
                 size(body.end_effector_mass, np.pi / 6))
-
-
-def _of_bag(recording, name, joints):
-    """Return a track with a cubic that has the angles of the shaft and of the tip at its ends."""
-    topics = '~/tip_pose', '~/tip_deflection'
-    tip, bend = map(recording.read(*topics).get, topics)
-    if tip is None or bend is None or not len(tip.ns) or not len(bend.ns):
-        raise TrackError(f'{recording.path}: the shape of the arm needs tip_pose and '
-                         'tip_deflection, or a log of the node with modal_state')
-
-    # Messages of a bag may be out of order.
-    (joint_ns, joints), (tip_ns, place), (bend_ns, bend) = (
-        (series.ns[order], series.values[order]) for series, order in (
-            (series, np.argsort(series.ns, kind='stable')) for series in (joints, tip, bend)))
-
-    def at_tip(ns, values):
-        return np.column_stack([np.interp(tip_ns, ns, column) for column in values.T])
-
-    motion, across = at_tip(joint_ns, joints), at_tip(bend_ns, bend)
-    rotation = 2.0 * np.arctan2(place[:, 2], place[:, 3]) - motion[:, 2]
-    rotation = (rotation + np.pi) % (2.0 * np.pi) - np.pi
-    along = np.column_stack(rotate(-motion[:, 2], *(place[:, :2] - motion[:, :2]).T))
-    length = float(np.median(along[:, 0] - across[:, 0]))
-    share = np.linspace(0.0, 1.0, _POINTS)
-    # Hermite's cubics: the place of the tip, and the slopes at root and tip.
-    place_part, begin, end = 3 * share**2 - 2 * share**3, share - 2 * share**2 + share**3, (
-        share**3 - share**2)
-
-    def poses(part):
-        slope = length * np.column_stack([np.cos(rotation[part]), np.sin(rotation[part])])
-        bent = (along[part][:, np.newaxis] * place_part[:, np.newaxis]
-                + np.array([length, 0.0]) * begin[:, np.newaxis]
-                + slope[:, np.newaxis] * end[:, np.newaxis])
-        line = np.stack(rotate(motion[part, 2][:, np.newaxis], bent[..., 0], bent[..., 1]),
-                        axis=-1)
-        return Poses(motion[part, np.newaxis, :2] + line, motion[part, 2])
-
-    traces = [Trace('tip_deflection', ('w',), bend_ns, bend[:, 1:2]),
-              Trace('tip_axial', ('u',), bend_ns, bend[:, :1]),
-              Trace('tip_rotation', ('phi',), tip_ns, rotation[:, np.newaxis]),
-              *_joint_traces(joint_ns, joints[:, :3], joints[:, 3:6], joints[:, 6:9])]
-    body = Body(length, 0.01 * length, 0.06 * length, 0.066 * length, 0.056 * length)
-    note = (f'{_span(tip_ns)}. No modal coordinates are on this bag: **the shape of the arm is a '
-            'cubic from root to tip pose**, its bodies have no true size, energy is not known.')
-    return Track(name, tip_ns, poses, traces, body, note)
 
 
 def _joint_traces(ns, position, velocity, effort):
