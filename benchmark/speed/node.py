@@ -183,8 +183,8 @@ def silent_row(turns, seconds):
                          slow=('node', False, arguments(rate=1.0))).values()
     over = ratio(fast.cpu, slow.cpu)
     return ('CPU of 5 topics at 1 kHz without subscriber and log, over 1 Hz', '',
-            f'{over:.2f}', None, f'{1e6 * statistics.median(fast.cpu):.0f} us a step; the target of '
-            '1.05 is withdrawn: what is looked at in each step is a larger part of a faster loop')
+            f'{over:.2f}', None, f'{1e6 * statistics.median(fast.cpu):.0f} us a step; the target '
+            'of 1.05 is withdrawn: what each step looks at is a larger part of a faster loop')
 
 
 def finished(*extra, environment=ENVIRONMENT):
