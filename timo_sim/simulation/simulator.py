@@ -272,7 +272,9 @@ class Simulator(PointsOfArm):
         ----------
         inputs : sequence of str
             Names of commands, see `step`; those with two numbers give two columns.
-        duration, **commands
+        duration : float, optional
+            As in `step` [s].
+        **commands : float or sequence of float
             As in `step`.
 
         Returns
