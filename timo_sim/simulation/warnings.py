@@ -22,7 +22,7 @@ _AXIAL_PHASE = 0.5
 _MOST_OF_A_PERIOD = 0.25
 # Largest shift of the tip by what `newton` leaves out, and largest distance from a finer run,
 # which has errors, too [arm lengths].
-_MOST_LEFT_OUT, MOST_APART = 1e-3, 7e-4
+_MOST_LEFT_OUT, MOST_APART = 1e-3, 6e-4
 NO_FINER_RUN = ('finer runs of the scene diverge, so that the error of this one is not known: '
                 'take a smaller integrator.step')
 
