@@ -1,0 +1,8 @@
+# Copyright 2026 The timo_sim authors
+# SPDX-License-Identifier: Apache-2.0
+
+"""
+Parts of controllers, made from the linear model of a scene.
+
+It may import all folders but `ros` and `cli`.
+"""
