@@ -144,6 +144,7 @@ def carrier(scene, kind=''):
 def _add_arm(system, scene, elements, angle=None, axial_factor=1.0, kind='linear'):
     # Nodes and elements. Coordinates are relative to the carrier's initial position, to lose fewer
     # digits.
+    assert not scene.manipulator.hub_radius, 'these elements begin at the axis of the shaft'
     arm, spin = scene.manipulator.arm, scene.values['initial.shaft_velocity']
     section = arm.section
     angle = scene.values['initial.shaft'] if angle is None else angle

@@ -105,6 +105,7 @@ class _Mesh(NamedTuple):
 
 def _mesh(scene, order, elements, stretch):
     body = scene.manipulator
+    assert not body.hub_radius, 'these elements begin at the axis of the shaft'
     breaks = np.concatenate([np.linspace(*ends, elements, endpoint=False) for ends in
                              zip(body.arm.breaks, body.arm.breaks[1:])] + [[body.arm.length]])
     x, weights, derivative = _rule(order)
