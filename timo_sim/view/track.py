@@ -19,6 +19,8 @@ from timo_sim.simulation.energy import integral, work
 from timo_sim.simulation.loads import pieces
 
 FPS = Parameter('--fps', 30.0, 'Hz', 'frames', low=0.0, high=1e6, open_low=True)
+DEFLECTION_SCALE = Parameter('deflection_scale', 1.0, '', 'drawn deflection over the computed one',
+                             low=0.0, high=1e9, open_low=True)
 _BLOCK = 1024    # samples that are computed at once: their arrays stay in the processor's cache
 _BESIDE = 0.08   # from the carrier to the arrow of gravity, and its length, in arm lengths
 
@@ -68,7 +70,8 @@ class Track:
     A run in the form that views take.
 
     `ns` are the sim times of n samples, not descending [ns]; `poses` returns the Poses at some of
-    them; `note` describes it in Markdown. `floor` is None without gravity.
+    them; `note` describes it in Markdown. `floor` is None without gravity. The deflection of poses
+    is multiplied by `deflection_scale`, that of traces is not.
     """
 
     name: str
@@ -78,6 +81,7 @@ class Track:
     body: Body
     note: str
     floor: Floor | None = None
+    deflection_scale: float = 1.0
 
     def trace(self, panel: str) -> Trace | None:
         """Return the trace of a panel, or None."""
@@ -93,16 +97,16 @@ class Track:
         return np.unique(places)
 
 
-def track_of_run(run: Any, name: str = 'run') -> Track:
+def track_of_run(run: Any, name: str = 'run', deflection_scale: float = 1.0) -> Track:
     """Return the track of a `Run`."""
     if run.recording is not None:
-        return track_of_recording(run.recording, name)
+        return track_of_recording(run.recording, name, deflection_scale)
     ns = np.rint(run.t * 1e9).astype(np.int64)
-    return track_of_motion(name, run.scene, ns, run.values, run.effort, heat=run.friction_heat,
-                           payloads=run.payloads)
+    return track_of_motion(name, run.scene, ns, run.values, run.effort, run.friction_heat,
+                           run.payloads, deflection_scale)
 
 
-def track_of_recording(recording: Recording, name: str) -> Track:
+def track_of_recording(recording: Recording, name: str, deflection_scale: float = 1.0) -> Track:
     """Return the track of a `log.tables.Recording`; raise LogError if it lacks a motion."""
     series = recording.read('joint_states', '~/modal_state')
     _, ns, motion = recording.motion(series)
@@ -113,20 +117,23 @@ def track_of_recording(recording: Recording, name: str) -> Track:
     place = slice(None) if len(ns) == len(joints.ns) else (
         np.searchsorted(joints.ns, ns, side='right') - 1)
     return track_of_motion(name, recording.scene, ns, motion, joints.values[place, 6:9],
-                           payloads=recording.payloads)
+                           None, recording.payloads, deflection_scale)
 
 
 def track_of_motion(name: str, scene: Scene, ns: np.ndarray, motion: np.ndarray,
                     effort: np.ndarray, heat: np.ndarray | None = None,
-                    payloads: Sequence[tuple[int, float, float]] = ()) -> Track:
+                    payloads: Sequence[tuple[int, float, float]] = (),
+                    deflection_scale: float = 1.0) -> Track:
     """
     Return the track of a known motion, shape (n, 2 (3 + N)), at the sim times `ns`, (n,) [ns].
 
     `effort` is force on the carrier, world x and y [N], and torque [N m], (n, 3); `payloads` are
     those of `Run`. The balance of energy, work and losses needs the `heat` of dry friction so far,
     (n,) [J], and is not computed without it, with `payloads`, or if loads act whose work the
-    efforts do not contain.
+    efforts do not contain. For `deflection_scale`, above 0 and at most 1e9, see `Track`; another
+    value is a ParameterError.
     """
+    deflection_scale = DEFLECTION_SCALE.check(deflection_scale)
     formulation, half = scene.build(), motion.shape[1] // 2
     modal, tip = motion[:, 3:half], formulation.tip_point
     bend = _in_blocks(formulation.centre_line, modal, tip)[:, 0] - [tip.lever[0], 0.0]
@@ -159,7 +166,7 @@ def track_of_motion(name: str, scene: Scene, ns: np.ndarray, motion: np.ndarray,
         traces.append(Trace('energy', ('energy',), ns, stored[:, np.newaxis]))
 
     def poses(part):
-        return Poses(formulation.shape(motion[part]), motion[part, 2])
+        return Poses(formulation.shape(motion[part], deflection_scale), motion[part, 2])
 
     note = (f'formulation `{scene.values["model.formulation"]}`, {scene.values["model.modes"]} '
             f'modes, step {1e3 * scene.step:g} ms; {_span(ns)}. The shape of the arm is that of '
@@ -167,7 +174,9 @@ def track_of_motion(name: str, scene: Scene, ns: np.ndarray, motion: np.ndarray,
     body, gravity = body_of(scene), scene.values['gravity']
     floor = floor_of(gravity, motion[0, :2], body)
     note += f' Gravity is {np.hypot(*gravity):.4g} m/s2.' if floor else ''
-    return Track(name, ns, poses, traces, body, note, floor)
+    if deflection_scale != 1.0:
+        note += f' Its deflection is drawn x {deflection_scale:g}.'
+    return Track(name, ns, poses, traces, body, note, floor, deflection_scale)
 
 
 def floor_of(gravity: tuple[float, float], carrier: np.ndarray, body: Body) -> Floor | None:
