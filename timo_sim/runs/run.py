@@ -250,11 +250,7 @@ class Run(MotionFields, PointsOfArm):
         return log.path
 
     def plot(self, deflection_scale: float = 1.0) -> Figure:
-        """
-        Draw the tip, carrier and shaft over time and the arm in the plane; needs matplotlib.
-
-        In the plane the deflection is `deflection_scale` times as large as it is, above 0.
-        """
+        """Draw curves and the arm, with a multiple of its deflection; needs matplotlib."""
         with optional():
             from timo_sim.view.plot import plot
         return plot(self, deflection_scale)

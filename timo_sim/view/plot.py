@@ -22,7 +22,7 @@ from timo_sim.view.track import body_of, DEFLECTION_SCALE, Floor, floor_of, FPS,
 
 # Okabe and Ito's colours, which colour-blind readers tell apart.
 COLOURS = '#0072b2', '#d55e00', '#009e73', '#cc79a7', '#e69f00', '#56b4e9'
-_ARMS, _BORDER = 5, 0.05  # shapes of the arm that are drawn; around them, in their extent
+_ARMS = 5  # shapes of the arm that are drawn
 _FREQUENCIES = 4000
 _GREY = '0.5'
 
@@ -31,44 +31,28 @@ def plot(run: Any, deflection_scale: float = 1.0) -> Figure:
     """
     Return a Figure of a Run: curves of what can move or is held, and the arm in the plane.
 
-    The plane shows the arm where it is bent most in each of five parts of the run, with its
-    deflection `deflection_scale` times as large; a value that is not above 0 and at most 1e9 is a
-    ParameterError.
+    The plane shows the arm where it is bent most in each fifth of the run, with `deflection_scale`
+    times its deflection; one that is not above 0 and at most 1e9 is a ParameterError.
     """
     scale, panels, bend = DEFLECTION_SCALE.check(deflection_scale), _panels(run), run.deflection()
     parts = np.array_split(np.arange(len(run.t)), min(_ARMS, len(run.t)))
     most = [part[np.abs(bend[part, 1]).argmax()] for part in parts]
     shapes, straight = run.model.shape(run.values, scale), run.model.shape(run.values[most], 0.0)
-    floor = floor_of(run.scene.values['gravity'], run.carrier[0], body_of(run.scene))
-    drawn = [shapes, straight, *([floor.arrow[np.newaxis]] if floor else [])]
-    low = np.min([each.min(axis=(0, 1)) for each in drawn], axis=0)
-    high = np.max([each.max(axis=(0, 1)) for each in drawn], axis=0)
-    margin = _BORDER * np.max(high - low)
-    low, high = low - margin, high + margin
-
-    rows, (width, height) = len(panels), high - low
-    if wide := width > 1.5 * height:  # the plane is below the curves, otherwise beside them
-        height = min(max(11.0 * height / width, 1.0), 6.0) + 1.0
-        figure = Figure(figsize=(12.0, 1.7 * rows + height), layout='constrained')
-        halves = figure.subfigures(2, 1, height_ratios=[1.7 * rows, height])
-    else:
-        high[1] += 0.2 * height  # for the legend
-        tall = max(2.0 * rows, 6.0)
-        width = min(max(tall * width / (1.2 * height), 3.0), 6.0) + 0.5
-        figure = Figure(figsize=(6.5 + width, tall + 0.5), layout='constrained')
-        halves = figure.subfigures(1, 2, width_ratios=[6.5, width])
-    legend = {'fontsize': 'small', 'frameon': False, 'loc': 'lower right',
-              'bbox_to_anchor': (1.0, 1.0), 'borderaxespad': 0.0}  # above the axes
-    left, right = np.asarray(halves)
-    curves, plane = left.subplots(rows, sharex=True, squeeze=False)[:, 0], right.subplots()
+    extent, height = np.ptp(shapes, axis=(0, 1)), max(2.0 * len(panels), 6.0)
+    width = min(max(height * extent[0] / max(extent[1], 0.1 * extent[0]), 3.0), 9.0)
+    figure = Figure(figsize=(6.5 + width, height + 0.8), layout='constrained')
+    left, right = np.asarray(figure.subfigures(1, 2, width_ratios=[6.5, width]))
+    curves = left.subplots(len(panels), sharex=True, squeeze=False)[:, 0]
     for axes, (label, lines) in zip(curves, panels.items()):
         for (line, values), colour in zip(lines.items(), COLOURS):
             axes.plot(run.t, values, color=colour, label=line)
         axes.set(ylabel=label, xlim=(run.t[0], run.t[-1] or 1.0))
         axes.grid(alpha=0.3)
-        axes.legend(ncols=len(lines), **legend)
+        axes.legend(fontsize='small', ncols=len(lines), frameon=False, loc='lower right',
+                    bbox_to_anchor=(1.0, 1.0), borderaxespad=0.0)
     curves[-1].set(xlabel='time [s]')
 
+    plane = right.subplots()
     plane.plot(*shapes[:, -1].T, color=COLOURS[5], linewidth=0.8, label='path of the tip')
     for k, line, alpha in zip(most, straight, np.linspace(0.25, 1.0, len(most))):
         bent, = plane.plot(*shapes[k].T, '-o', color=COLOURS[0], alpha=alpha, linewidth=2.0,
@@ -77,12 +61,11 @@ def plot(run: Any, deflection_scale: float = 1.0) -> Figure:
     bent.set_label(f'arm, where bent most in each {(run.t[-1] - run.t[0]) / len(most):g} s')
     rigid.set_label('arm, if it did not bend')
     plane.plot(*shapes[most, 0].T, 's', color='0.3', markersize=6, label='carrier')
-    plane.set(xlim=(low[0], high[0]), ylim=(low[1], high[1]), aspect='equal', xlabel='x [m]',
-              ylabel='y [m]')
-    draw_floor(plane, floor)
-    legend |= {'ncols': 4} if wide else {'loc': 'upper right'}
-    plane.legend(title='' if scale == 1.0 else _scaled(scale), title_fontsize='medium', **legend)
+    plane.set(xlabel='x [m]', ylabel='y [m]', aspect='equal', adjustable='datalim',
+              title='' if scale == 1.0 else f'deflection x {scale:g}')
+    draw_floor(plane, floor_of(run.scene.values['gravity'], run.carrier[0], body_of(run.scene)))
     plane.grid(alpha=0.3)
+    right.legend(fontsize='small', frameon=False, loc='outside upper right')
     return figure
 
 
@@ -100,19 +83,14 @@ def _panels(run):
     return {label: lines for label, lines in panels.items() if lines}
 
 
-def _scaled(*scales):
-    return 'deflection x ' + ', '.join(f'{scale:g}' for scale in scales)
-
-
 def draw_floor(axes: Axes, floor: Floor | None) -> None:
     """Draw a Floor, if not None, across what the axes show, and the direction of gravity."""
     if floor is None:
         return
     axes.update_datalim(floor.arrow)
     axes.autoscale_view()
-    axes.plot(*floor.line(np.transpose([axes.get_xlim(), axes.get_ylim()])).T, color=_GREY,
-              linewidth=1.5, zorder=0.5, scalex=False, scaley=False)
-    head, tail = map(tuple, floor.arrow[::-1].tolist())
+    place, tail, head = map(tuple, np.vstack([floor.place, floor.arrow]).tolist())
+    axes.axline(place, head, color=_GREY, linewidth=1.5, zorder=0.5)
     axes.annotate('', head, tail, annotation_clip=True,
                   arrowprops={'arrowstyle': '->', 'color': _GREY, 'shrinkA': 0, 'shrinkB': 0})
     axes.annotate('g', tail, tuple(-9.0 * floor.along), textcoords='offset points', color=_GREY,
@@ -216,9 +194,8 @@ def animate(tracks: Sequence[Track], path: Path | str, fps: float = _MOST_FPS) -
 
     The left axes show the arms in the plane of motion, each with its straight arm and the path of
     its tip so far; where there is gravity, a floor under the carrier. The right axes show the
-    transverse deflection of the tips, with a line at now. A title states factors of the drawn
-    deflection, `Track.deflection_scale`, other than 1. Raises ParameterError if the path does not
-    end with .gif, or `fps` is not above 0 and at most 1e6.
+    transverse deflection of the tips, with a line at now. Raises ParameterError if the path does
+    not end with .gif, or `fps` is not above 0 and at most 1e6.
     """
     if not str(path).endswith('.gif'):
         raise ParameterError(f'the path of an animation must end with .gif, got {path}')
@@ -231,11 +208,9 @@ def animate(tracks: Sequence[Track], path: Path | str, fps: float = _MOST_FPS) -
     low, high = corners[:, 0].min(axis=0), corners[:, 1].max(axis=0)
     plane.set(xlim=(low[0], high[0]), ylim=(low[1], high[1]), aspect='equal', xlabel='x [m]',
               ylabel='y [m]')
-    if (scales := {track.deflection_scale for track in tracks}) != {1.0}:
-        plane.set_title(_scaled(*scales))
-    for track in tracks:
-        draw_floor(plane, track.floor)
+    plane.set_title(', '.join(dict.fromkeys(track.title for track in tracks)))
     for track, colour in zip(tracks, cycle(COLOURS)):
+        draw_floor(plane, track.floor)
         trace = track.trace('tip_deflection')
         assert trace is not None  # each track has it
         curves.plot(1e-9 * trace.ns, trace.values[:, -1], color=colour, label=track.name)

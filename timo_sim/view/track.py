@@ -70,8 +70,8 @@ class Track:
     A run in the form that views take.
 
     `ns` are the sim times of n samples, not descending [ns]; `poses` returns the Poses at some of
-    them; `note` describes it in Markdown. `floor` is None without gravity. The deflection of poses
-    is multiplied by `deflection_scale`, that of traces is not.
+    them; `note` describes it in Markdown. `floor` is None without gravity. `title` states the
+    factor of the deflection of poses if it is not 1; that of traces is not multiplied.
     """
 
     name: str
@@ -81,7 +81,7 @@ class Track:
     body: Body
     note: str
     floor: Floor | None = None
-    deflection_scale: float = 1.0
+    title: str = ''
 
     def trace(self, panel: str) -> Trace | None:
         """Return the trace of a panel, or None."""
@@ -130,10 +130,10 @@ def track_of_motion(name: str, scene: Scene, ns: np.ndarray, motion: np.ndarray,
     `effort` is force on the carrier, world x and y [N], and torque [N m], (n, 3); `payloads` are
     those of `Run`. The balance of energy, work and losses needs the `heat` of dry friction so far,
     (n,) [J], and is not computed without it, with `payloads`, or if loads act whose work the
-    efforts do not contain. For `deflection_scale`, above 0 and at most 1e9, see `Track`; another
-    value is a ParameterError.
+    efforts do not contain. Poses have `deflection_scale` times the deflection; one that is not
+    above 0 and at most 1e9 is a ParameterError.
     """
-    deflection_scale = DEFLECTION_SCALE.check(deflection_scale)
+    scale = DEFLECTION_SCALE.check(deflection_scale)
     formulation, half = scene.build(), motion.shape[1] // 2
     modal, tip = motion[:, 3:half], formulation.tip_point
     bend = _in_blocks(formulation.centre_line, modal, tip)[:, 0] - [tip.lever[0], 0.0]
@@ -166,7 +166,7 @@ def track_of_motion(name: str, scene: Scene, ns: np.ndarray, motion: np.ndarray,
         traces.append(Trace('energy', ('energy',), ns, stored[:, np.newaxis]))
 
     def poses(part):
-        return Poses(formulation.shape(motion[part], deflection_scale), motion[part, 2])
+        return Poses(formulation.shape(motion[part], scale), motion[part, 2])
 
     note = (f'formulation `{scene.values["model.formulation"]}`, {scene.values["model.modes"]} '
             f'modes, step {1e3 * scene.step:g} ms; {_span(ns)}. The shape of the arm is that of '
@@ -174,9 +174,9 @@ def track_of_motion(name: str, scene: Scene, ns: np.ndarray, motion: np.ndarray,
     body, gravity = body_of(scene), scene.values['gravity']
     floor = floor_of(gravity, motion[0, :2], body)
     note += f' Gravity is {np.hypot(*gravity):.4g} m/s2.' if floor else ''
-    if deflection_scale != 1.0:
-        note += f' Its deflection is drawn x {deflection_scale:g}.'
-    return Track(name, ns, poses, traces, body, note, floor, deflection_scale)
+    title = '' if scale == 1.0 else f'deflection x {scale:g}'
+    note += f' The plane shows {title}.' if title else ''
+    return Track(name, ns, poses, traces, body, note, floor, title)
 
 
 def floor_of(gravity: tuple[float, float], carrier: np.ndarray, body: Body) -> Floor | None:
