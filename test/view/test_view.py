@@ -339,6 +339,17 @@ def test_energy_balance_closes(run, paper):
     assert np.all(np.diff(track.trace('balance').values[::10, 0]) < 1e-9)
 
 
+def test_a_balance_of_round_off_is_drawn_flat(run, shown):
+    path, _ = shown
+    energy, balance = (columns(path, f'/curves/{name}/one')[1] for name in ('energy', 'balance'))
+    reader = RrdReader(path)
+    batches = [chunk.to_record_batch() for chunk in reader.stream(store=reader.blueprints()[0])]
+    (low, high), = (batch.column('ScalarAxis:range')[0][0].as_py() for batch in batches
+                    if 'ScalarAxis:range' in batch.schema.names)
+    assert 0.0 < np.abs(balance).max() < 1e-6 * np.max(energy)
+    assert -low == high == pytest.approx(1e-3 * np.max(energy))
+
+
 def test_work_is_exact_for_a_constant_force_and_zero_at_a_reset():
     t = np.array([0.0, 0.1, 0.25, 0.25, 0.4, 0.5])
     x = np.column_stack([t**3, 2.0 * t])
