@@ -58,7 +58,7 @@ def plot(run: Any, deflection_scale: float = 1.0) -> Figure:
         bent, = plane.plot(*shapes[k].T, '-o', color=COLOURS[0], alpha=alpha, linewidth=2.0,
                            markevery=[-1])
         rigid, = plane.plot(*line.T, '--', color=_GREY, linewidth=0.8)
-    bent.set_label(f'arm, where bent most in each {(run.t[-1] - run.t[0]) / len(most):g} s')
+    bent.set_label(f'arm, where bent most in each {(run.t[-1] - run.t[0]) / len(most):.3g} s')
     rigid.set_label('arm, if it did not bend')
     plane.plot(*shapes[most, 0].T, 's', color='0.3', markersize=6, label='carrier')
     plane.set(xlabel='x [m]', ylabel='y [m]', aspect='equal', adjustable='datalim',
@@ -208,7 +208,7 @@ def animate(tracks: Sequence[Track], path: Path | str, fps: float = _MOST_FPS) -
     low, high = corners[:, 0].min(axis=0), corners[:, 1].max(axis=0)
     plane.set(xlim=(low[0], high[0]), ylim=(low[1], high[1]), aspect='equal', xlabel='x [m]',
               ylabel='y [m]')
-    plane.set_title(', '.join(dict.fromkeys(track.title for track in tracks)))
+    plane.set_title(', '.join(sorted({track.title for track in tracks} - {''})))
     for track, colour in zip(tracks, cycle(COLOURS)):
         draw_floor(plane, track.floor)
         trace = track.trace('tip_deflection')

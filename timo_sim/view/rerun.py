@@ -272,8 +272,7 @@ def _blueprint(panels, bounds, runs=1, live=False, span=0.0):
     Return the layout of the plane with corners `bounds` and of panels.
 
     `panels` has the number of curves by key of _TITLES. With several runs only some panels have a
-    legend. Of a live run the last ten seconds are shown. The balance of energy is shown from
-    -`span` to `span` [J].
+    legend. Of a live run the last ten seconds are shown; `span` is half the balance's axis [J].
     """
     ranges = rrb.VisibleTimeRange(
         _TIMELINE, start=rrb.TimeRangeBoundary.cursor_relative(seconds=-10.0),

@@ -141,7 +141,12 @@ def track_of_motion(name: str, scene: Scene, ns: np.ndarray, motion: np.ndarray,
         Trace('tip_deflection', ('w',), ns, bend[:, 1:]),
         Trace('tip_axial', ('u',), ns, bend[:, :1]),
         Trace('tip_rotation', ('phi',), ns, _in_blocks(formulation.section_rotation, modal, tip)),
-        *_joint_traces(ns, motion[:, :3], motion[:, half:half + 3], effort)]
+        Trace('carrier', ('x', 'y'), ns, motion[:, :2]),
+        Trace('shaft', ('theta',), ns, motion[:, 2:3]),
+        Trace('carrier_velocity', ('x', 'y'), ns, motion[:, half:half + 2]),
+        Trace('shaft_speed', ('theta',), ns, motion[:, half + 2:half + 3]),
+        Trace('force', ('x', 'y'), ns, effort[:, :2]),
+        Trace('torque', ('torque',), ns, effort[:, 2:])]
     if half > 3:
         traces.append(Trace('modal', tuple(f'q{n}' for n in range(1, half - 2)), ns, modal))
     steps = np.rint(1e-9 * ns / scene.step).astype(int)
@@ -169,8 +174,9 @@ def track_of_motion(name: str, scene: Scene, ns: np.ndarray, motion: np.ndarray,
         return Poses(formulation.shape(motion[part], scale), motion[part, 2])
 
     note = (f'formulation `{scene.values["model.formulation"]}`, {scene.values["model.modes"]} '
-            f'modes, step {1e3 * scene.step:g} ms; {_span(ns)}. The shape of the arm is that of '
-            'the modal coordinates.')
+            f'modes, step {1e3 * scene.step:g} ms; {len(ns)} samples, sim time '
+            f'{1e-9 * ns[0]:g} to {1e-9 * ns[-1]:g} s. The shape of the arm is that of the modal '
+            'coordinates.')
     body, gravity = body_of(scene), scene.values['gravity']
     floor = floor_of(gravity, motion[0, :2], body)
     note += f' Gravity is {np.hypot(*gravity):.4g} m/s2.' if floor else ''
@@ -204,19 +210,6 @@ def body_of(scene: Scene) -> Body:
                 size(body.end_effector_mass, np.pi / 6))
 
 
-def _joint_traces(ns, position, velocity, effort):
-    return [Trace('carrier', ('x', 'y'), ns, position[:, :2]),
-            Trace('shaft', ('theta',), ns, position[:, 2:]),
-            Trace('carrier_velocity', ('x', 'y'), ns, velocity[:, :2]),
-            Trace('shaft_speed', ('theta',), ns, velocity[:, 2:]),
-            Trace('force', ('x', 'y'), ns, effort[:, :2]),
-            Trace('torque', ('torque',), ns, effort[:, 2:])]
-
-
 def _in_blocks(function, values, *more):
     return np.concatenate([function(values[k:k + _BLOCK], *more)
                            for k in range(0, len(values), _BLOCK)])
-
-
-def _span(ns):
-    return f'{len(ns)} samples, sim time {1e-9 * ns[0]:g} to {1e-9 * ns[-1]:g} s'
