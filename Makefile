@@ -73,6 +73,7 @@ gallery: $(VENV)/.gallery graphics ## draw the runs of doc/gallery.md
 
 picture: $(VENV)/.plot ## draw the pictures of README.md
 	@$(BIN)/python -m benchmark.figures.picture
+	@$(BIN)/python -m benchmark.figures.work_precision
 
 modes: $(VENV)/.plot ## draw and fill doc/modes.md
 	@$(BIN)/python -m benchmark.figures.modes

@@ -1,12 +1,15 @@
 # Copyright 2026 The timo_sim authors
 # SPDX-License-Identifier: Apache-2.0
 
-"""The integrators that the benchmarks compare with agree with this package's own."""
+"""What the benchmarks compare with agrees with this package; their pictures show all of it."""
+
+import json
 
 import numpy as np
 import pytest
 
 from benchmark.accuracy.links import rigid_links
+from benchmark.figures.work_precision import draw, FOLDER
 from oracles import peers
 from oracles.references import ROOT, spin_up, world
 import timo_sim
@@ -77,3 +80,22 @@ def test_exponential_steps_of_links_have_their_order(source, drive):
     errors = [np.abs(across(step, exponential=True) - truth).max() for step in (0.04, 0.02, 0.01)]
     observed = np.log2(np.array(errors[:-1]) / errors[1:])
     assert observed == pytest.approx(4.0, abs=0.5)
+
+
+def test_pictures_of_the_benchmark_show_each_method_with_a_label_of_its_own():
+    stored = json.loads((FOLDER / 'work_precision.json').read_text(encoding='utf-8'))
+    runs = [each[-1] for each in stored.values() if 'methods' in each[-1]]
+    assert len(runs) == 4
+    for run in runs:
+        axes, = draw(run).axes
+        times = {name: [best['seconds'] for best in method['best'] if best]
+                 for name, method in run['methods'].items()}
+        drawn = [list(line.get_ydata()) for line in axes.lines if len(line.get_ydata())]
+        assert sorted(drawn) == sorted(filter(None, times.values()))
+        named = {text.get_text(): text.xyann[1] for text in axes.texts}
+        assert {*named} == {name for name, found in times.items() if found}
+        heights = sorted(named.values())  # in those of the axes
+        assert heights[0] > 0.0 and heights[-1] < 1.0 and np.diff(heights).min() > 0.04
+        assert sorted(named, key=named.get) == sorted(named, key=lambda name: times[name][0])
+        missed = axes.get_title(loc='left').removeprefix('not reached: ').split('; ')
+        assert missed == [name for name, found in times.items() if not found]

@@ -33,7 +33,6 @@ class Scene:
     """A scene with its reference."""
 
     name: str
-    title: str
     source: Any         # for `load_scene`
     duration: float     # [s]
     period: float       # of the reference [s]
@@ -61,13 +60,10 @@ class Scene:
 
 
 SCENES = [
-    Scene('paper', "the paper's scene, Table 4, 10 s", ROOT / 'config' / 'paper.yaml', 10.0,
-          0.01, None),
-    Scene('torque', 'torque steps, +20, -20, 0 N m, 5 s', TORQUE, 5.0, 0.01, None),
-    Scene('spin_up', 'spin-up of a 10 m arm, 20 s', ROOT / 'config' / 'spin_up.yaml', 20.0, 0.02,
-          spin_up()),
-    Scene('cantilever', 'a clamped 10 m arm let go under its weight, 3 s', CANTILEVER, 3.0, 0.02,
-          None, (1e-2, 1e-3, 1e-4)),
+    Scene('paper', ROOT / 'config' / 'paper.yaml', 10.0, 0.01, None),
+    Scene('torque', TORQUE, 5.0, 0.01, None),
+    Scene('spin_up', ROOT / 'config' / 'spin_up.yaml', 20.0, 0.02, spin_up()),
+    Scene('cantilever', CANTILEVER, 3.0, 0.02, None, (1e-2, 1e-3, 1e-4)),
 ]
 
 

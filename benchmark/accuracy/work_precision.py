@@ -27,11 +27,11 @@ from tempfile import TemporaryDirectory
 import time
 import warnings
 
-import matplotlib.pyplot as plt
 import numpy as np
 
 from benchmark import ROOT
 from benchmark.accuracy.cases import INTEGRATOR, Method, methods_of, OWN, Scene, SCENES
+from benchmark.figures.work_precision import draw, FOLDER
 from benchmark.report import machine, parser
 from benchmark.timing import seconds
 from oracles import elastica
@@ -39,7 +39,6 @@ from oracles.references import read
 import timo_sim
 
 RIVALS = ('exudyn', 'mujoco-core', 'pyelastica', 'dismech-newton', 'soromox', 'jax')
-FOLDER = ROOT / 'doc' / 'benchmark'
 BUDGET, QUICK = 12.0, 0.5  # CPU time of the search of a method on a scene [s]
 REPEATED, TURNS = 2.0, 25  # CPU time of a setting that is timed again [s], and at most how often
 CANDIDATES = 3             # settings for a goal that are timed again
@@ -58,9 +57,6 @@ COLD = {
     'dismech-newton': CLAMPED + RIVAL + 'dismech(scene, 20, 0.01, 0.1, 2)',
     'soromox': CLAMPED + ('from benchmark.accuracy import soft_rods; '
                           'soft_rods.soft_rod(scene, 3, 4e-3, 0.1, 5)')}
-MARKERS = 'os^Dvp*hXP<>d'  # one fewer than colours: all pairs differ
-COLOURS = ('#0072B2', '#E69F00', '#009E73', '#56B4E9', '#CC79A7', '#999999', '#000000', '#B8860B',
-           '#D55E00', '#8B2500', '#4B0082', '#117733', '#AA4499', '#332288')
 
 
 _UNUSED = itertools.count(1)
@@ -213,7 +209,7 @@ class Search:
 
 
 def measure(scene, quick):
-    """Return the figures of a scene; draw them."""
+    """Return the figures of a scene."""
     comment, stored = read(scene.name)
     searches = []
     for method in methods_of(scene):
@@ -231,8 +227,6 @@ def measure(scene, quick):
         for trial in again:
             if turn < 2 or sum(trial.whole) < REPEATED:
                 trial.repeat()
-    if not quick:
-        plot(scene, searches)
     found = {}
     for search in searches:
         best = [search.reached(goal)[:1] for goal in scene.goals]
@@ -241,31 +235,6 @@ def measure(scene, quick):
             'kind': search.method.kind, 'least_error_m': min(errors.values(), default=None),
             'best': [search.figures(*each) if each else None for each in best]}
     return {'reference': comment, 'goals_m': scene.goals, 'methods': found}
-
-
-def plot(scene, searches):
-    """Draw error in the tip deflection against time."""
-    figure, axis = plt.subplots(figsize=(10.5, 5.5), layout='constrained')
-    for search, marker, colour in zip(searches, itertools.cycle(MARKERS),
-                                      itertools.cycle(COLOURS)):
-        errors = search.errors
-        entries = sorted(errors, key=search.seconds)
-        points = np.array([(search.seconds(each), errors[each]) for each in entries])
-        points = points.reshape(-1, 2)  # all runs may have failed
-        single = np.array([len(each) == 1 for each in entries], dtype=bool)
-        axis.loglog(*points[single].T, marker, color=colour, ms=3, alpha=0.3)
-        # Those that no other one beats in both time and error.
-        best = points[np.diff(np.minimum.accumulate(points[:, 1]), prepend=np.inf) < 0.0]
-        axis.loglog(*best.T, marker + '-', color=colour, ms=5,
-                    lw=2.2 if search.method.name == 'exact' else 1.2, label=search.method.name)
-    axis.set(ylim=(1e-7, 1.0), xlabel='CPU time of the solver [s]',
-             ylabel='largest error of the tip deflection [m]')
-    axis.set_title(f'{scene.title}: faint, all settings; lines, the best ones and pairs',
-                   fontsize=10)
-    axis.grid(alpha=0.3)
-    figure.legend(fontsize=8, loc='outside right upper')
-    figure.savefig(FOLDER / f'{scene.name}.png', dpi=110)
-    plt.close(figure)
 
 
 def large_deflection(quick):
@@ -319,6 +288,8 @@ def main():
         facts = {**machine(), **{rival: version(rival) for rival in RIVALS}}
         stored[name] = [*stored.get(name, []), {'machine': facts, **figures}][-2:]
         path.write_text(json.dumps(stored, indent=1) + '\n', encoding='utf-8')
+        if 'methods' in figures:
+            draw(figures).savefig(FOLDER / f'{name}.png', dpi=110)
     if not given.quick:
         subprocess.run([sys.executable, ROOT / 'doc' / 'tables.py'], check=True)
 

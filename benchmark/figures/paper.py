@@ -107,45 +107,56 @@ def shapes():
 
 
 def histories(t, runs, truth, fem):
-    """Return Figs. 6 to 10."""
-    text = ''
+    """Return Figs. 6 to 10, and their differences from the finite elements."""
     motions = {name: motion_of(run) for name, run in runs.items()}
+    five, four = list(STATIONS), list(STATIONS)[1:]
+    # By number: quantity, unit, stations, and the curves of the finite elements and of a run.
+    shown = {
+        6: ('horizontal position', 'm', five, lambda key: truth[key][0][:, 0],
+            lambda name, key: motions[name][key][0][:, 0]),
+        7: ('vertical position', 'm', five, lambda key: truth[key][0][:, 1],
+            lambda name, key: motions[name][key][0][:, 1]),
+        8: ('angular position', 'deg', five, lambda key: np.degrees(truth[key][1]),
+            lambda name, key: np.degrees(motions[name][key][1])),
+        9: ('transverse deflection', 'mm', four, lambda key: 1e3 * fem[f'w_{key}_m'],
+            lambda name, key: 1e3 * runs[name].deflection(STATIONS[key] * LENGTH)[:, 1]),
+        10: ('section rotation', 'deg', four, lambda key: np.degrees(fem[f'phi_{key}_rad']),
+             lambda name, key: np.degrees(runs[name].rotation(STATIONS[key] * LENGTH)))}
+    text = ''
+    for number, (what, unit, stations, theirs, ours) in shown.items():
+        figure, axes = plt.subplots(2, 3 if stations == five else 2, sharex=True,
+                                    figsize=(10 if stations == five else 9, 4.8))
+        for axis, key in zip(axes.flat, stations):
+            axis.plot(t, theirs(key), color=BLACK, lw=2.2, alpha=0.35, label='finite elements')
+            for name, style in zip(runs, ('-', '--')):
+                axis.plot(t, ours(name, key), style, color=COLOURS[name],
+                          label=f'{name}, N = {MODES}')
+            largest = '' if stations == five else f', peak {peak(t, theirs(key)):.3g}'
+            axis.set_title(f'xi = {NAMES[key]}{largest}', fontsize=9)
+        if stations == five:
+            label_times(axes)
+        else:
+            figure.legend(*axes[0, 0].get_legend_handles_labels(), loc='outside lower center',
+                          ncols=3)
+        label(axes, None if stations == five else 't [s]', f'{what} [{unit}]')
+        text += save(figure, f'{number:02}', f'Fig. {number}: {what} [{unit}] of '
+                     f'{"five" if stations == five else "four"} sections') + '\n'
 
-    def draw(axis, theirs, ours, title):
-        axis.plot(t, theirs, color=BLACK, lw=2.2, alpha=0.35, label='finite elements')
-        for (name, values), style in zip(ours.items(), ('-', '--')):
-            axis.plot(t, values, style, color=COLOURS[name], label=f'{name}, N = {MODES}')
-        axis.set_title(title, fontsize=9)
-
-    for number, name_of, pick in (
-            ('06', 'horizontal position [m]', lambda motion: motion[0][:, 0]),
-            ('07', 'vertical position [m]', lambda motion: motion[0][:, 1]),
-            ('08', 'angular position [deg]', lambda motion: np.degrees(motion[1]))):
-        figure, axes = plt.subplots(2, 3, figsize=(10, 4.8), sharex=True)
-        for axis, name in zip(axes.flat, STATIONS):
-            draw(axis, pick(truth[name]), {key: pick(motion[name])
-                                           for key, motion in motions.items()},
-                 f'xi = {NAMES[name]}')
-        label_times(axes)
-        label(axes, None, name_of)
-        text += save(figure, number, f'Fig. {int(number)}: {name_of} of five sections') + '\n'
-
-    inner = list(STATIONS)[1:]
-    for number, name_of, ours, theirs in (
-            ('09', 'transverse deflection [mm]',
-             lambda run, name: 1e3 * run.deflection(STATIONS[name] * LENGTH)[:, 1],
-             lambda name: 1e3 * fem[f'w_{name}_m']),
-            ('10', 'section rotation [deg]',
-             lambda run, name: np.degrees(run.rotation(STATIONS[name] * LENGTH)),
-             lambda name: np.degrees(fem[f'phi_{name}_rad']))):
-        figure, axes = plt.subplots(2, 2, figsize=(9, 4.8), sharex=True)
-        for axis, name in zip(axes.flat, inner):
-            draw(axis, theirs(name), {key: ours(run, name) for key, run in runs.items()},
-                 f'xi = {NAMES[name]}, peak {peak(t, theirs(name)):.2f}')
-        label(axes, 't [s]', name_of)
-        figure.legend(*axes[0, 0].get_legend_handles_labels(), loc='outside lower center', ncols=3)
-        text += save(figure, number, f'Fig. {int(number)}: {name_of} of four sections') + '\n'
-    return text
+    figure, axes = plt.subplots(len(shown), len(runs), figsize=(9, 10), sharex=True)
+    finer = {'m': ('mm', '\u00b5m'), 'mm': ('\u00b5m', 'nm'), 'deg': ('mdeg', '\u00b5deg')}
+    for row, (what, unit, stations, theirs, ours) in zip(axes, shown.values()):
+        for axis, name, factor, small in zip(row, runs, (1e3, 1e6), finer[unit]):
+            for key, colour in zip(five, (BLACK, ORANGE, BLUE, GREEN, RED)):
+                if key in stations:
+                    axis.plot(t, factor * (ours(name, key) - theirs(key)), color=colour,
+                              lw=0.7, label=f'xi = {NAMES[key]}')
+            axis.set_title(f'{what}, {name}', fontsize=9)
+            axis.set_ylabel(f'difference [{small}]')
+    for axis in axes[-1]:
+        axis.set_xlabel('t [s]')
+    figure.legend(*axes[0, 0].get_legend_handles_labels(), loc='outside lower center', ncols=5)
+    return text + save(figure, '06_to_10', 'Figs. 6 to 10 as differences from finite elements, '
+                       f'N = {MODES}, of newton (left) and exact (right, in finer units)')
 
 
 def label(axes, below, beside):
@@ -280,9 +291,9 @@ def main():
     missed = 100.0 * (1.0 - np.abs(fem['w_l_m']).max() / peak(t, fem['w_l_m']))
     verdicts = [
         verdict_2, verdict_4,
-        ('Fig. 9: tip deflection', 'about 80 mm', f'{peaks["newton"][0]:.2f} mm',
-         f'{peaks["exact"][0]:.2f} mm', 'reads a tenth low: finite elements give '
-         f'{1e3 * peak(t, fem["w_l_m"]):.2f} mm'),
+        ('Fig. 9: tip deflection', 'about 80 mm', f'{peaks["newton"][0]:.1f} mm',
+         f'{peaks["exact"][0]:.1f} mm', 'reads a tenth low: finite elements give '
+         f'{1e3 * peak(t, fem["w_l_m"]):.1f} mm'),
         ('Fig. 10: section rotation', '< 4.5 deg', f'{peaks["newton"][1]:.3f} deg',
          f'{peaks["exact"][1]:.3f} deg', 'agrees' if max(
              each[1] for each in peaks.values()) < 4.5 else 'does not agree'),

@@ -14,17 +14,18 @@ from timo_sim.view.plot import animate
 from timo_sim.view.track import track_of_run
 
 LENGTH = 2.0
+SCALE = 5.0  # of the drawn deflection
 
 
 def main():
     """Draw the arm beside the reference, the plot of README's first script, and an animation."""
     parser(__spec__, __doc__).parse_args()
-    _draw_arm()
     run = timo_sim.simulate(timo_sim.load_scene('paper', {'model.modes': 5}), 10.0)
-    run.plot().savefig(ROOT / 'doc' / 'run.png', dpi=80)
-    animate([track_of_run(timo_sim.simulate(timo_sim.load_scene('paper'), 4.0), 'paper')],
-            ROOT / 'doc' / 'arm.gif')
+    run.plot(SCALE).savefig(ROOT / 'doc' / 'run.png', dpi=80)
+    run = timo_sim.simulate(timo_sim.load_scene('paper'), 4.0)
+    animate([track_of_run(run, 'paper', SCALE)], ROOT / 'doc' / 'arm.gif')
     print('wrote doc/run.png and doc/arm.gif')
+    _draw_arm()
 
 
 def _draw_arm():

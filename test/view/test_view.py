@@ -18,6 +18,7 @@ import urllib.request
 from xml.etree import ElementTree
 
 from click.testing import CliRunner
+from matplotlib.figure import Figure
 from matplotlib.image import imread
 from mcap_ros2.reader import read_ros2_messages
 import numpy as np
@@ -30,7 +31,7 @@ import timo_sim
 from timo_sim.cli import main
 from timo_sim.log.tables import Recording
 from timo_sim.simulation.energy import work
-from timo_sim.view import rerun
+from timo_sim.view import plot, rerun
 from timo_sim.view.plot import animate
 from timo_sim.view.rerun import picture, write
 from timo_sim.view.track import track_of_recording, track_of_run
@@ -143,6 +144,84 @@ def test_an_animation_shows_the_arm_where_it_is(run, tmp_path):
         assert abs((off + np.pi / 2) % np.pi - np.pi / 2) < 0.02
 
 
+def plane_of(figure):
+    """Return the axes of the plane, and the arms that are drawn there, each (p, 2) [m]."""
+    plane, = (axes for axes in figure.axes if axes.get_xlabel() == 'x [m]')
+    return plane, [line.get_xydata() for line in plane.lines if line.get_linewidth() == 2.0]
+
+
+@pytest.mark.parametrize('values, labels', [
+    ({}, 'tip deflection [m], shaft angle [rad], carrier [m]'),
+    ({'model.modes': 0}, 'shaft angle [rad], carrier [m]'),
+    ({'carrier.held': 'x'},
+     'tip deflection [m], shaft angle [rad], carrier [m], holding force [N]'),
+    ({'carrier.held': 'both'}, 'tip deflection [m], shaft angle [rad], holding force [N]'),
+    ({'carrier.held': 'both', 'motor.shaft': 'locked', 'gravity': [0.0, -9.81],
+      'initial.shaft': 0.0},
+     'tip deflection [m], holding force [N], holding torque [N m]')])
+def test_a_plot_shows_what_moves_and_a_large_arm(paper, values, labels):
+    run = timo_sim.simulate(timo_sim.load_scene(paper, values), 0.5, estimate=False)
+    figure = run.plot()
+    figure.draw_without_rendering()
+    plane, arms = plane_of(figure)
+    curves = [axes for axes in figure.axes if axes is not plane]
+    assert [axes.get_ylabel() for axes in curves] == labels.split(', ')
+    assert all(np.ptp(line.get_ydata()) > 0.0 for axes in curves for line in axes.lines)
+    moving = [k for k in (0, 1) if not run.model.constrained[k]]
+    shown = {line.get_label(): line.get_ydata() for axes in curves for line in axes.lines
+             if axes.get_ylabel() == 'carrier [m]'}
+    assert [*shown] == ['xy'[k] for k in moving]
+    assert all(np.array_equal(shown['xy'[k]], run.carrier[:, k]) for k in moving)
+    # The arm is not small in the picture, and nothing is outside of the axes. A plane in which the
+    # arm is low and wide takes more than a third of the width.
+    least = 0.42 if 'motor.shaft' in values else 0.3
+    for arm in arms:
+        pixels = plane.transData.transform(arm)
+        assert np.linalg.norm(pixels[-1] - pixels[0]) > least * max(figure.bbox.size)
+        assert np.all((plane.bbox.min < pixels) & (pixels < plane.bbox.max))
+    # The largest deflection of all is among those drawn.
+    tips = run.position()[np.abs(run.deflection()[:, 1]).argmax()]
+    assert min(np.abs(arm[-1] - tips).max() for arm in arms) < 1e-12
+
+
+def test_a_scale_of_the_deflection_is_drawn_and_stated(run, tmp_path, monkeypatch):
+    k, figures = int(np.abs(run.deflection()[:, 1]).argmax()), []
+    axis = np.array([np.cos(run.shaft[k]), np.sin(run.shaft[k])])
+    across = np.array([-axis[1], axis[0]])
+    along, bend = 5.0 * run.deflection()[k]
+    tip = run.carrier[k] + (LENGTH + along) * axis + bend * across
+    assert abs(bend) > 0.4 > 4.5 * np.abs(run.deflection()[k, 1])
+
+    plane, arms = plane_of(run.plot(5.0))
+    assert min(np.abs(arm[-1] - tip).max() for arm in arms) < 1e-12
+    assert (plane.get_title(), plane_of(run.plot())[0].get_title()) == ('deflection x 5', '')
+
+    class Recorded(Figure):
+        def __init__(self, *arguments, **more):
+            super().__init__(*arguments, **more)
+            figures.append(self)
+
+    monkeypatch.setattr(plot, 'Figure', Recorded)
+    log = run.save(tmp_path / 'run.mcap')
+    for more in [], ['--deflection-scale', '5']:
+        options = ['--gif', tmp_path / 'run.gif', '--save', tmp_path / 'run.rrd', '--fps', 2,
+                   '--at', run.t[k], *more]
+        assert CliRunner().invoke(main, ['view', *map(str, [log, *options])]).exit_code == 0
+    assert [figure.axes[0].get_title() for figure in figures] == ['', 'deflection x 5']
+    low, high = figures[1].axes[0].viewLim.get_points()
+    assert np.all((low < tip) & (tip < high))
+    _, lines = columns(tmp_path / 'run.rrd', '/plane/run/arm')
+    assert np.abs(np.squeeze(lines)[:, -1] - tip).max(axis=1).min() < 1e-6  # single precision
+    about = static(tmp_path / 'run.rrd')['/about']['TextDocument:text'][0]
+    assert 'The plane shows deflection x 5.' in about
+    _, values = columns(tmp_path / 'run.rrd', '/curves/tip_deflection/run')
+    assert np.allclose(values[:, 0], run.deflection()[:, 1], rtol=0.0, atol=1e-12)  # not scaled
+    for wrong in 0.0, -1.0, np.nan, np.inf, 1e10, 'large':
+        for draw in run.plot, lambda scale: track_of_run(run, 'run', scale):
+            with pytest.raises(ValueError, match='deflection_scale must be a finite number > 0'):
+                draw(wrong)
+
+
 def test_layouts_of_other_programs_name_what_is_in_a_log(run, tmp_path):
     """Foxglove names fields as the messages do, PlotJuggler's joints by their names."""
     found = {}
@@ -220,7 +299,8 @@ def test_a_floor_is_under_the_carrier_where_there_is_gravity(run, shown, tmp_pat
         head = arrow['Arrows2D:origins'] + arrow['Arrows2D:vectors']
         assert (head - below) @ down == pytest.approx(0.0, abs=1e-6)
     plane, = (axes for axes in leaning.plot().axes if axes.get_xlabel() == 'x [m]')
-    drawn = plane.lines[-1].get_xydata()
+    line = plane.lines[-1]
+    drawn = plane.transData.inverted().transform(line.get_transform().transform(line.get_xydata()))
     assert np.abs((drawn - below) @ down).max() < 1e-9
     assert plane.get_xlim()[0] < start[0] and plane.get_ylim()[1] > start[1]
     animate([track_of_run(leaning)], tmp_path / 'leaning.gif')
@@ -257,6 +337,17 @@ def test_energy_balance_closes(run, paper):
     damped = timo_sim.load_scene(paper, {'arm.damping_ratio': [0.02]})
     track = track_of_run(timo_sim.simulate(damped, 3.0))
     assert np.all(np.diff(track.trace('balance').values[::10, 0]) < 1e-9)
+
+
+def test_a_balance_of_round_off_is_drawn_flat(run, shown):
+    path, _ = shown
+    energy, balance = (columns(path, f'/curves/{name}/one')[1] for name in ('energy', 'balance'))
+    reader = RrdReader(path)
+    batches = [chunk.to_record_batch() for chunk in reader.stream(store=reader.blueprints()[0])]
+    (low, high), = (batch.column('ScalarAxis:range')[0][0].as_py() for batch in batches
+                    if 'ScalarAxis:range' in batch.schema.names)
+    assert 0.0 < np.abs(balance).max() < 1e-6 * np.max(energy)
+    assert -low == high == pytest.approx(1e-3 * np.max(energy))
 
 
 def test_work_is_exact_for_a_constant_force_and_zero_at_a_reset():
@@ -329,6 +420,7 @@ def test_bad_input_and_a_missing_screen_are_one_line(log, tmp_path):
     (['--gif', 'a.gif', '--at', '1'], '--at is the time of a picture: it needs --png or --save'),
     (['--gif', 'a.png'], 'the path of an animation must end with .gif, got a.png'),
     (['--gif', 'a.gif', '--fps', 'nan'], '--fps must be a finite number > 0'),
+    (['--gif', 'a.gif', '--deflection-scale', 'nan'], 'deflection_scale must be a finite number'),
     (['--png', 'none/a.png'], '--png none/a.png cannot be written')])
 def test_invalid_views_are_refused_in_one_line(log, tmp_path, monkeypatch, arguments, words):
     monkeypatch.chdir(tmp_path)

@@ -85,6 +85,9 @@ def main() -> None:
 main.command_class = _Command
 _settings = click.option('--set', 'settings', multiple=True, metavar='NAME=VALUE',
                          help='A parameter that differs from the scene; several may follow.')
+_deflection_scale = click.option(
+    '--deflection-scale', type=click.FloatRange(min=0.0, max=1e9, min_open=True), default=1.0,
+    show_default=True, help='Draw the arm with so many times its deflection; pictures state it.')
 _node = click.option('--node', metavar='NAME', help='Full name of the node, if a bag has several.')
 
 
@@ -344,8 +347,10 @@ def replay(file: str, settings: tuple[str, ...], formulation: str | None, scene:
 @click.option('--view', is_flag=True, help='Show the run in rerun.')
 @click.option('--png', type=click.Path(dir_okay=False), metavar='OUT.png',
               help='Picture to write: curves over time, and the arm in the plane.')
+@_deflection_scale
 def simulate(scene: str, duration: float, settings: tuple[str, ...], output: str | None,
-             rate: float | None, estimate: bool, view: bool, png: str | None) -> None:
+             rate: float | None, estimate: bool, view: bool, png: str | None,
+             deflection_scale: float) -> None:
     r"""
     Simulate SCENE, a parameter file or the name of an installed scene, without ROS.
 
@@ -382,10 +387,10 @@ def simulate(scene: str, duration: float, settings: tuple[str, ...], output: str
     if output:
         click.echo(f'{run.save(output)} is written')
     if png:
-        plot.write(run.plot(), png)
+        plot.write(run.plot(deflection_scale), png)
         click.echo(f'{png} is drawn')
     if view:
-        run.view()
+        run.view(deflection_scale=deflection_scale)
     if diverged:
         click.echo(f'timo_sim: {diverged}', err=True)
         sys.exit(1)
@@ -538,9 +543,11 @@ def urdf(scene: str, settings: tuple[str, ...], library: str | None) -> None:
 @click.option('--fps', type=click.FloatRange(min=0.0, min_open=True), default=30.0,
               show_default=True, help='Frames per second of the arm, in an animation at most 20; '
               'curves have all samples.')
+@_deflection_scale
 @_node
 def view(files: tuple[str, ...], save: str | None, png: str | None, gif: str | None,
-         at: float | None, web: bool, fps: float, node: str | None) -> None:
+         at: float | None, web: bool, fps: float, deflection_scale: float,
+         node: str | None) -> None:
     r"""
     Show recorded runs, laid over each other, in rerun or as an animation.
 
@@ -549,7 +556,7 @@ def view(files: tuple[str, ...], save: str | None, png: str | None, gif: str | N
     \b
         timo_sim view run.mcap
         timo_sim view before.mcap after.mcap --png compared.png --at 1.81
-        timo_sim view run.mcap --gif run.gif
+        timo_sim view run.mcap --gif run.gif --deflection-scale 5
     """
     wanted = save or png or web or not gif
     if at is not None and not (png or save):
@@ -563,7 +570,8 @@ def view(files: tuple[str, ...], save: str | None, png: str | None, gif: str | N
     from timo_sim.view.track import track_of_recording
     recordings = [Recording(path, node) for path in files]
     names = unique_names([recording.path.stem for recording in recordings])
-    makers = [partial(track_of_recording, *pair) for pair in zip(recordings, names)]
+    makers = [partial(track_of_recording, *pair, deflection_scale)
+              for pair in zip(recordings, names)]
     if gif:
         animate([maker() for maker in makers], gif, fps)
     if wanted:

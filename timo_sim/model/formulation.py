@@ -325,9 +325,17 @@ class Formulation(ABC):
         turned = np.stack(rotate(motions[..., 2, np.newaxis], along, across), axis=-1)
         return motions[..., np.newaxis, 0:2] + turned
 
-    def shape(self, motions: np.ndarray) -> np.ndarray:
-        """Return the line from the shaft's axis to the tip, to draw, world axes, (n, p, 2) [m]."""
+    def shape(self, motions: np.ndarray, deflection_scale: float = 1.0) -> np.ndarray:
+        """
+        Return the line from the shaft's axis to the tip, to draw, world axes, (n, p, 2) [m].
+
+        Its points are `deflection_scale` times as far from those of the straight arm as they are.
+        """
         line = self.world(motions, self._drawn)
+        if deflection_scale != 1.0:
+            straight = motions.copy()
+            straight[:, 3:self.size // 2] = 0.0
+            line += (deflection_scale - 1.0) * (line - self.world(straight, self._drawn))
         if self.manipulator.hub_radius:
             line = np.concatenate([motions[:, np.newaxis, :2], line], axis=1)
         return line

@@ -249,18 +249,18 @@ class Run(MotionFields, PointsOfArm):
             log.close()
         return log.path
 
-    def plot(self) -> Figure:
-        """Draw the tip, carrier and shaft over time and the arm in the plane; needs matplotlib."""
+    def plot(self, deflection_scale: float = 1.0) -> Figure:
+        """Draw curves and the arm, with a multiple of its deflection; needs matplotlib."""
         with optional():
             from timo_sim.view.plot import plot
-        return plot(self)
+        return plot(self, deflection_scale)
 
-    def view(self, web: bool = False) -> None:
+    def view(self, web: bool = False, deflection_scale: float = 1.0) -> None:
         """Show the run in rerun until its window, or the browser, is closed; needs rerun-sdk."""
         with optional():
             from timo_sim.view.rerun import show_tracks
         from timo_sim.view.track import track_of_run
-        show_tracks([lambda: track_of_run(self)], web=web)
+        show_tracks([lambda: track_of_run(self, deflection_scale=deflection_scale)], web=web)
 
     def _outputs(self):
         # These topics follow from the motion alone; sensors need the simulator.

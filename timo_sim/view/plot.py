@@ -18,52 +18,69 @@ from PIL import Image
 from timo_sim.model.layout import without_unit
 from timo_sim.scene.files import whole_file
 from timo_sim.scene.parameters import ParameterError
-from timo_sim.view.track import body_of, Floor, floor_of, FPS, Track
+from timo_sim.view.track import body_of, DEFLECTION_SCALE, Floor, floor_of, FPS, Track
 
 # Okabe and Ito's colours, which colour-blind readers tell apart.
 COLOURS = '#0072b2', '#d55e00', '#009e73', '#cc79a7', '#e69f00', '#56b4e9'
-_ARMS = 8  # shapes of the arm that are drawn
+_ARMS = 5  # shapes of the arm that are drawn
 _FREQUENCIES = 4000
 _GREY = '0.5'
 
 
-def plot(run: Any) -> Figure:
-    """Return a Figure of a Run: curves over time, and the arm in the plane."""
-    curves = {
-        'tip': ('tip deflection [m]', dict(zip(('axial', 'transverse'), run.deflection().T))),
-        'shaft': ('shaft angle [rad]', {'theta': run.shaft}),
-        'carrier': ('carrier [m]', {'x': run.carrier[:, 0], 'y': run.carrier[:, 1]})}
-    held = run.model.constrained
-    if held[:2].any():
-        curves['force'] = 'holding force [N]', {
-            axis: run.effort[:, k] for k, axis in enumerate('xy') if held[k]}
-    if held[2]:
-        curves['torque'] = 'holding torque [N m]', {'torque': run.effort[:, 2]}
-    figure = Figure(figsize=(12, 1 + 2 * len(curves)), layout='constrained')
-    axes = figure.subplot_mosaic([[name, 'plane'] for name in curves], width_ratios=[3, 2])
-    for name, (label, lines) in curves.items():
-        for (line, values), colour in zip(lines.items(), COLOURS):
-            axes[name].plot(run.t, values, color=colour, label=line)
-        axes[name].set(ylabel=label, xlim=(run.t[0], run.t[-1] or 1.0))
-        axes[name].grid(alpha=0.3)
-        if len(lines) > 1:
-            axes[name].legend(fontsize='small', ncols=len(lines), frameon=False,
-                              loc='lower right', bbox_to_anchor=(1.0, 1.0), borderaxespad=0.0)
-    axes[[*curves][-1]].set(xlabel='time [s]')
+def plot(run: Any, deflection_scale: float = 1.0) -> Figure:
+    """
+    Return a Figure of a Run: curves of what can move or is held, and the arm in the plane.
 
-    shapes = run.model.shape(run.values)
-    axes['plane'].plot(*shapes[:, -1].T, color=COLOURS[5], linewidth=0.8, label='path of the tip')
-    picked = np.unique(np.linspace(0, len(run.t) - 1, _ARMS).astype(int))
-    for number, k in enumerate(picked):
-        axes['plane'].plot(*shapes[k].T, color=COLOURS[0], alpha=(1 + number) / len(picked),
-                           label=f'arm until t = {run.t[-1]:g} s' if k == picked[-1] else None)
-    axes['plane'].plot(*shapes[picked, 0].T, 's', color='0.3', markersize=4, label='carrier')
-    axes['plane'].set(xlabel='x [m]', ylabel='y [m]', aspect='equal')
-    draw_floor(axes['plane'], floor_of(run.scene.values['gravity'], run.carrier[0],
-                                       body_of(run.scene)))
-    axes['plane'].legend(fontsize='small')
-    axes['plane'].grid(alpha=0.3)
+    The plane shows the arm where it is bent most in each fifth of the run, with `deflection_scale`
+    times its deflection; one that is not above 0 and at most 1e9 is a ParameterError.
+    """
+    scale, panels, bend = DEFLECTION_SCALE.check(deflection_scale), _panels(run), run.deflection()
+    parts = np.array_split(np.arange(len(run.t)), min(_ARMS, len(run.t)))
+    most = [part[np.abs(bend[part, 1]).argmax()] for part in parts]
+    shapes, straight = run.model.shape(run.values, scale), run.model.shape(run.values[most], 0.0)
+    extent, height = np.ptp(shapes, axis=(0, 1)), max(2.0 * len(panels), 6.0)
+    width = min(max(height * extent[0] / max(extent[1], 0.1 * extent[0]), 3.0), 9.0)
+    figure = Figure(figsize=(6.5 + width, height + 0.8), layout='constrained')
+    left, right = np.asarray(figure.subfigures(1, 2, width_ratios=[6.5, width]))
+    curves = left.subplots(len(panels), sharex=True, squeeze=False)[:, 0]
+    for axes, (label, lines) in zip(curves, panels.items()):
+        for (line, values), colour in zip(lines.items(), COLOURS):
+            axes.plot(run.t, values, color=colour, label=line)
+        axes.set(ylabel=label, xlim=(run.t[0], run.t[-1] or 1.0))
+        axes.grid(alpha=0.3)
+        axes.legend(fontsize='small', ncols=len(lines), frameon=False, loc='lower right',
+                    bbox_to_anchor=(1.0, 1.0), borderaxespad=0.0)
+    curves[-1].set(xlabel='time [s]')
+
+    plane = right.subplots()
+    plane.plot(*shapes[:, -1].T, color=COLOURS[5], linewidth=0.8, label='path of the tip')
+    for k, line, alpha in zip(most, straight, np.linspace(0.25, 1.0, len(most))):
+        bent, = plane.plot(*shapes[k].T, '-o', color=COLOURS[0], alpha=alpha, linewidth=2.0,
+                           markevery=[-1])
+        rigid, = plane.plot(*line.T, '--', color=_GREY, linewidth=0.8)
+    bent.set_label(f'arm, where bent most in each {(run.t[-1] - run.t[0]) / len(most):.3g} s')
+    rigid.set_label('arm, if it did not bend')
+    plane.plot(*shapes[most, 0].T, 's', color='0.3', markersize=6, label='carrier')
+    plane.set(xlabel='x [m]', ylabel='y [m]', aspect='equal', adjustable='datalim',
+              title='' if scale == 1.0 else f'deflection x {scale:g}')
+    draw_floor(plane, floor_of(run.scene.values['gravity'], run.carrier[0], body_of(run.scene)))
+    plane.grid(alpha=0.3)
+    right.legend(fontsize='small', frameon=False, loc='outside upper right')
     return figure
+
+
+def _panels(run):
+    """Return the curves of each panel by its label, each (n,) by name."""
+    held, force = run.model.constrained, run.effort
+    turns = run.model.constraints.locked is None
+    panels = {
+        'tip deflection [m]': dict(zip(('axial', 'transverse'), run.deflection().T)
+                                   if run.q.size else ()),
+        'shaft angle [rad]': {'theta': run.shaft} if turns else {},
+        'carrier [m]': {'xy'[k]: run.carrier[:, k] for k in (0, 1) if not held[k]},
+        'holding force [N]': {'xy'[k]: force[:, k] for k in (0, 1) if held[k]},
+        'holding torque [N m]': {'on the shaft': force[:, 2]} if held[2] else {}}
+    return {label: lines for label, lines in panels.items() if lines}
 
 
 def draw_floor(axes: Axes, floor: Floor | None) -> None:
@@ -72,9 +89,8 @@ def draw_floor(axes: Axes, floor: Floor | None) -> None:
         return
     axes.update_datalim(floor.arrow)
     axes.autoscale_view()
-    axes.plot(*floor.line(np.transpose([axes.get_xlim(), axes.get_ylim()])).T, color=_GREY,
-              linewidth=1.5, zorder=0.5, scalex=False, scaley=False)
-    head, tail = map(tuple, floor.arrow[::-1].tolist())
+    place, tail, head = map(tuple, np.vstack([floor.place, floor.arrow]).tolist())
+    axes.axline(place, head, color=_GREY, linewidth=1.5, zorder=0.5)
     axes.annotate('', head, tail, annotation_clip=True,
                   arrowprops={'arrowstyle': '->', 'color': _GREY, 'shrinkA': 0, 'shrinkB': 0})
     axes.annotate('g', tail, tuple(-9.0 * floor.along), textcoords='offset points', color=_GREY,
@@ -167,7 +183,7 @@ def campbell(found: Mapping[Any, Any]) -> Figure:
 
 
 _MOST_FPS = 20.0  # [Hz]; browsers play faster GIFs too slowly
-_SIZE, _DPI = (8.0, 4.0), 80  # [inch], [1/inch]
+_SIZE, _DPI = (8.0, 4.8), 80  # [inch], [1/inch]
 _MARGIN = 0.1  # around what moves, in arm lengths
 _COLOURS_PER_FRAME = 32
 
@@ -192,9 +208,9 @@ def animate(tracks: Sequence[Track], path: Path | str, fps: float = _MOST_FPS) -
     low, high = corners[:, 0].min(axis=0), corners[:, 1].max(axis=0)
     plane.set(xlim=(low[0], high[0]), ylim=(low[1], high[1]), aspect='equal', xlabel='x [m]',
               ylabel='y [m]')
-    for track in tracks:
-        draw_floor(plane, track.floor)
+    plane.set_title(', '.join(sorted({track.title for track in tracks} - {''})))
     for track, colour in zip(tracks, cycle(COLOURS)):
+        draw_floor(plane, track.floor)
         trace = track.trace('tip_deflection')
         assert trace is not None  # each track has it
         curves.plot(1e-9 * trace.ns, trace.values[:, -1], color=colour, label=track.name)

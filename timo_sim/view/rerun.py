@@ -111,7 +111,11 @@ def _send(stream, tracks, fps, at):
             panels[trace.panel] = len(trace.names)
         if run:
             _send_differences(entities, tracks[0], track, panels)
-    stream.send_blueprint(_blueprint(panels, bounds, len(tracks)))
+    # The axis of the balance has a thousandth of the energy at least: round-off is a flat line.
+    span = max((1e-3 if trace.panel == 'energy' else 1.1) * np.abs(trace.values).max()
+               for track in tracks for trace in track.traces
+               if trace.panel in ('energy', 'balance'))
+    stream.send_blueprint(_blueprint(panels, bounds, len(tracks), span=span))
     return bounds
 
 
@@ -263,12 +267,12 @@ def _floats(values):
     return np.ascontiguousarray(values, dtype=np.float32)
 
 
-def _blueprint(panels, bounds, runs=1, live=False):
+def _blueprint(panels, bounds, runs=1, live=False, span=0.0):
     """
     Return the layout of the plane with corners `bounds` and of panels.
 
     `panels` has the number of curves by key of _TITLES. With several runs only some panels have a
-    legend. Of a live run the last ten seconds are shown.
+    legend. Of a live run the last ten seconds are shown; `span` is half the balance's axis [J].
     """
     ranges = rrb.VisibleTimeRange(
         _TIMELINE, start=rrb.TimeRangeBoundary.cursor_relative(seconds=-10.0),
@@ -276,6 +280,7 @@ def _blueprint(panels, bounds, runs=1, live=False):
 
     views = [rrb.TimeSeriesView(
         origin=f'{_CURVES}/{key}', name=title, time_ranges=ranges,
+        axis_y=rrb.ScalarAxis(range=(-span, span)) if key == 'balance' and span else None,
         plot_legend=rrb.PlotLegend(rrb.Corner2D.RightTop, visible=(
             key in _WITH_LEGEND if runs > 1 else panels[key] > 1)))
         for key, title in _TITLES.items() if key in panels]

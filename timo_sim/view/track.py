@@ -19,6 +19,8 @@ from timo_sim.simulation.energy import integral, work
 from timo_sim.simulation.loads import pieces
 
 FPS = Parameter('--fps', 30.0, 'Hz', 'frames', low=0.0, high=1e6, open_low=True)
+DEFLECTION_SCALE = Parameter('deflection_scale', 1.0, '', 'drawn deflection over the computed one',
+                             low=0.0, high=1e9, open_low=True)
 _BLOCK = 1024    # samples that are computed at once: their arrays stay in the processor's cache
 _BESIDE = 0.08   # from the carrier to the arrow of gravity, and its length, in arm lengths
 
@@ -68,7 +70,8 @@ class Track:
     A run in the form that views take.
 
     `ns` are the sim times of n samples, not descending [ns]; `poses` returns the Poses at some of
-    them; `note` describes it in Markdown. `floor` is None without gravity.
+    them; `note` describes it in Markdown. `floor` is None without gravity. `title` states the
+    factor of the deflection of poses if it is not 1; that of traces is not multiplied.
     """
 
     name: str
@@ -78,6 +81,7 @@ class Track:
     body: Body
     note: str
     floor: Floor | None = None
+    title: str = ''
 
     def trace(self, panel: str) -> Trace | None:
         """Return the trace of a panel, or None."""
@@ -93,16 +97,16 @@ class Track:
         return np.unique(places)
 
 
-def track_of_run(run: Any, name: str = 'run') -> Track:
+def track_of_run(run: Any, name: str = 'run', deflection_scale: float = 1.0) -> Track:
     """Return the track of a `Run`."""
     if run.recording is not None:
-        return track_of_recording(run.recording, name)
+        return track_of_recording(run.recording, name, deflection_scale)
     ns = np.rint(run.t * 1e9).astype(np.int64)
-    return track_of_motion(name, run.scene, ns, run.values, run.effort, heat=run.friction_heat,
-                           payloads=run.payloads)
+    return track_of_motion(name, run.scene, ns, run.values, run.effort, run.friction_heat,
+                           run.payloads, deflection_scale)
 
 
-def track_of_recording(recording: Recording, name: str) -> Track:
+def track_of_recording(recording: Recording, name: str, deflection_scale: float = 1.0) -> Track:
     """Return the track of a `log.tables.Recording`; raise LogError if it lacks a motion."""
     series = recording.read('joint_states', '~/modal_state')
     _, ns, motion = recording.motion(series)
@@ -113,20 +117,23 @@ def track_of_recording(recording: Recording, name: str) -> Track:
     place = slice(None) if len(ns) == len(joints.ns) else (
         np.searchsorted(joints.ns, ns, side='right') - 1)
     return track_of_motion(name, recording.scene, ns, motion, joints.values[place, 6:9],
-                           payloads=recording.payloads)
+                           None, recording.payloads, deflection_scale)
 
 
 def track_of_motion(name: str, scene: Scene, ns: np.ndarray, motion: np.ndarray,
                     effort: np.ndarray, heat: np.ndarray | None = None,
-                    payloads: Sequence[tuple[int, float, float]] = ()) -> Track:
+                    payloads: Sequence[tuple[int, float, float]] = (),
+                    deflection_scale: float = 1.0) -> Track:
     """
     Return the track of a known motion, shape (n, 2 (3 + N)), at the sim times `ns`, (n,) [ns].
 
     `effort` is force on the carrier, world x and y [N], and torque [N m], (n, 3); `payloads` are
     those of `Run`. The balance of energy, work and losses needs the `heat` of dry friction so far,
     (n,) [J], and is not computed without it, with `payloads`, or if loads act whose work the
-    efforts do not contain.
+    efforts do not contain. Poses have `deflection_scale` times the deflection; one that is not
+    above 0 and at most 1e9 is a ParameterError.
     """
+    scale = DEFLECTION_SCALE.check(deflection_scale)
     formulation, half = scene.build(), motion.shape[1] // 2
     modal, tip = motion[:, 3:half], formulation.tip_point
     bend = _in_blocks(formulation.centre_line, modal, tip)[:, 0] - [tip.lever[0], 0.0]
@@ -134,7 +141,12 @@ def track_of_motion(name: str, scene: Scene, ns: np.ndarray, motion: np.ndarray,
         Trace('tip_deflection', ('w',), ns, bend[:, 1:]),
         Trace('tip_axial', ('u',), ns, bend[:, :1]),
         Trace('tip_rotation', ('phi',), ns, _in_blocks(formulation.section_rotation, modal, tip)),
-        *_joint_traces(ns, motion[:, :3], motion[:, half:half + 3], effort)]
+        Trace('carrier', ('x', 'y'), ns, motion[:, :2]),
+        Trace('shaft', ('theta',), ns, motion[:, 2:3]),
+        Trace('carrier_velocity', ('x', 'y'), ns, motion[:, half:half + 2]),
+        Trace('shaft_speed', ('theta',), ns, motion[:, half + 2:half + 3]),
+        Trace('force', ('x', 'y'), ns, effort[:, :2]),
+        Trace('torque', ('torque',), ns, effort[:, 2:])]
     if half > 3:
         traces.append(Trace('modal', tuple(f'q{n}' for n in range(1, half - 2)), ns, modal))
     steps = np.rint(1e-9 * ns / scene.step).astype(int)
@@ -159,15 +171,18 @@ def track_of_motion(name: str, scene: Scene, ns: np.ndarray, motion: np.ndarray,
         traces.append(Trace('energy', ('energy',), ns, stored[:, np.newaxis]))
 
     def poses(part):
-        return Poses(formulation.shape(motion[part]), motion[part, 2])
+        return Poses(formulation.shape(motion[part], scale), motion[part, 2])
 
     note = (f'formulation `{scene.values["model.formulation"]}`, {scene.values["model.modes"]} '
-            f'modes, step {1e3 * scene.step:g} ms; {_span(ns)}. The shape of the arm is that of '
-            'the modal coordinates.')
+            f'modes, step {1e3 * scene.step:g} ms; {len(ns)} samples, sim time '
+            f'{1e-9 * ns[0]:g} to {1e-9 * ns[-1]:g} s. The shape of the arm is that of the modal '
+            'coordinates.')
     body, gravity = body_of(scene), scene.values['gravity']
     floor = floor_of(gravity, motion[0, :2], body)
     note += f' Gravity is {np.hypot(*gravity):.4g} m/s2.' if floor else ''
-    return Track(name, ns, poses, traces, body, note, floor)
+    title = '' if scale == 1.0 else f'deflection x {scale:g}'
+    note += f' The plane shows {title}.' if title else ''
+    return Track(name, ns, poses, traces, body, note, floor, title)
 
 
 def floor_of(gravity: tuple[float, float], carrier: np.ndarray, body: Body) -> Floor | None:
@@ -195,19 +210,6 @@ def body_of(scene: Scene) -> Body:
                 size(body.end_effector_mass, np.pi / 6))
 
 
-def _joint_traces(ns, position, velocity, effort):
-    return [Trace('carrier', ('x', 'y'), ns, position[:, :2]),
-            Trace('shaft', ('theta',), ns, position[:, 2:]),
-            Trace('carrier_velocity', ('x', 'y'), ns, velocity[:, :2]),
-            Trace('shaft_speed', ('theta',), ns, velocity[:, 2:]),
-            Trace('force', ('x', 'y'), ns, effort[:, :2]),
-            Trace('torque', ('torque',), ns, effort[:, 2:])]
-
-
 def _in_blocks(function, values, *more):
     return np.concatenate([function(values[k:k + _BLOCK], *more)
                            for k in range(0, len(values), _BLOCK)])
-
-
-def _span(ns):
-    return f'{len(ns)} samples, sim time {1e-9 * ns[0]:g} to {1e-9 * ns[-1]:g} s'
