@@ -23,6 +23,7 @@ import numpy as np
 import pytest
 import timo_sim
 from timo_sim import extras
+from timo_sim.compiled.machine import COMPILING
 import yaml
 
 ROOT = Path(__file__).resolve().parents[1]
@@ -376,6 +377,17 @@ def test_the_notebook_runs():
     assert scope['decrement'] == pytest.approx(scope['expected'], rel=2e-3)
     lowest = [scope[name].deflection(10.0)[:, 1].min() for name in ('exact', 'newton')]
     assert lowest[0] == pytest.approx(-0.5738, abs=2e-4) and lowest[1] < -10.0
+
+
+def test_a_notebook_shows_what_is_compiled_as_a_line(tmp_path, monkeypatch):
+    """Notebooks show what goes to stderr as an error."""
+    client = pytest.importorskip('nbclient')
+    from nbformat.v4 import new_code_cell, new_notebook
+    monkeypatch.setenv('NUMBA_CACHE_DIR', str(tmp_path))
+    cell = new_code_cell("import timo_sim\nrun = timo_sim.simulate({'model.modes': 7}, 0.01)")
+    client.NotebookClient(new_notebook(cells=[cell])).execute()
+    assert [(each.name, each.text) for each in cell.outputs] == [
+        ('stdout', f'timo_sim: {COMPILING}\n')]
 
 
 def test_the_site(tmp_path):

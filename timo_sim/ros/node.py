@@ -178,10 +178,10 @@ class SimNode(ParameterNode):
         self._health.pass_on_warning()
         if self._live:
             self._live.close()
-        pace = self._loop.pace
-        report = (f'simulated {self.steps * self._step:.6g} s in {wall_time:.3f} s, '
-                  f'{pace.overruns} overruns, {pace.dropped_steps * self._step:.6g} s dropped')
+        timing = self._loop.pace.report()
+        report = f'simulated {self.steps * self._step:.6g} s in {wall_time:.3f} s; {timing}'
         self._log.close({
+            'timing': timing,
             'estimated_tip_error_m': f'{error:.3g}',
             **{name: str(count) for name, count in self._health.counters().items()}})
         if self._log.path:
