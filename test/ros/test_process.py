@@ -129,7 +129,7 @@ def test_services_and_topics_come_when_the_node_can_answer(client, tmp_path):
         output, _ = node.communicate(timeout=PATIENCE)
     line, = [line for line in output.splitlines() if 'running: ' in line]
     assert node.returncode == 0 and line.endswith(
-        '[late.timo_sim]: running: 3 modes, step 0.001 s, waiting for commands')
+        '[late.timo_sim]: running: 3 modes, step 0.001 s, ready for commands')
 
 
 def test_hints_are_given_and_the_node_goes_on(start, tmp_path):

@@ -144,7 +144,7 @@ class SimNode(ParameterNode):
         # After publishing, because rclpy's first log line in a process takes a tenth of a second.
         self.get_logger().info(
             f'{"paused" if self.paused else "running"}: {self._simulator.scene.modal_count} '
-            f'modes, step {self._step:g} s, waiting for commands' + (
+            f'modes, step {self._step:g} s, ready for commands' + (
                 f', logging to {self._log.path}' if self._log.path else ''))
         self._opened = time.monotonic()
         self._loop.pace.start(self.steps, self._opened)
