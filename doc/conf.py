@@ -23,6 +23,7 @@ extensions = ['myst_nb', 'numpydoc', 'sphinx.ext.autodoc', 'sphinx.ext.autosumma
 # Notebooks are kept without outputs.
 nb_execution_mode = 'force'
 nb_execution_raise_on_error = True
+nb_execution_timeout = 300  # [s] for a cell
 myst_enable_extensions = ['dollarmath']
 myst_heading_anchors = 4
 highlight_language = 'none'
