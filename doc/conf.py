@@ -50,7 +50,7 @@ html_theme_options = {
     'logo': {'text': f'{project} {release}'}, 'navbar_center': [],
     'navbar_end': ['repository', 'theme-switcher'], 'secondary_sidebar_items': []}
 # The web address of the remote `origin`, if it has one.
-_origin = re.search(r'^(?:\w+://)?(?:[^/]*@)?([\w.-]+\.\w+)[:/](.+?)(?:\.git)?/?$',
+_origin = re.search(r'^(?:\w+://)?(?:[^/]*@)?([\w.-]+\.\w+)(?::\d+)?[:/](.+?)(?:\.git)?/?$',
                     subprocess.getoutput('git remote get-url origin'))
 html_context = {'default_mode': 'auto',
                 'repository': _origin and f'https://{_origin[1]}/{_origin[2]}'}

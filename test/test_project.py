@@ -407,7 +407,7 @@ def test_the_site(tmp_path):
             there = re.sub(r'\.\./README$', 'index', name) + '.html' + place
             assert f'<a class="reference internal" href="{there}"><span class="std' in site[page]
         assert f'timo_sim {timo_sim.__version__}</p>' in site[page]
-        assert re.search('href="[^"]*">Repository</a>', site[page])
+        assert re.search('href="(https://[^"#]+|[^"#]*#help-citing-licence)">Repo', site[page])
         # Pictures open.
         assert not re.search(r'(?<!">)<img alt', site[page])
     for name in {*timo_sim.__all__} - {'__version__'}:

@@ -296,6 +296,7 @@ def test_dropped_time_is_counted_and_the_motion_stays_the_same(start, client, pa
         client.wait(lambda: float(facts(health).get('dropped_time_s', 0)) > 0.3, 'drops')
         reader.kill()  # it may not go on
     assert int(facts(health)['overruns']) >= 3
+    assert 's of sim time were lost' in facts(health)['timing']
     code, output = node.end()
     words = re.search(r'[0-9.]+ s of sim time were lost to delays beyond catch_up_limit', output)
     assert code == 0 and words[0] in '\n'.join(info(node.log))
