@@ -41,8 +41,7 @@ def _about_run(log, notes):
         yield from _entry('set later', [
             f'at step {step}: {name} = {json.dumps(value)}'[:90]
             for step, _, values in changes for name, value in values.items()][:20])
-    if 'timing' in summary:
-        yield from _entry('timing', [summary['timing']])
+    yield from _entry('timing', [text for name, text in summary.items() if name == 'timing'])
     # Earlier versions also noted a peak.
     counted = [f'{name[:40]} {value[:20]}' for name, value in summary.items()
                if not name.startswith(('peak', 'timing'))][:_MOST_COUNTERS]

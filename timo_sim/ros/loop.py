@@ -270,15 +270,14 @@ class Pace:
     Paces sim time by wall time and the real-time factor; `step` is in [s].
 
     Unless the loop `waits` for commands, it counts `ticks`, `overruns`, those later than the
-    deadline of the next one, and `dropped_steps`, given up because they were beyond the catch-up
-    limit. `latest` is the largest delay of a tick [s of wall time].
+    deadline of the next one, by up to `latest` [s], and `dropped_steps`, given up because they
+    were beyond the catch-up limit.
     """
 
     def __init__(self, step: float, waits: bool = False) -> None:
         self._step, self._waits = step, waits
-        self._factor = math.nan  # not set yet
+        self._factor, self.latest = math.nan, 0.0  # the factor is not set yet
         self.ticks = self.overruns = self.dropped_steps = 0
-        self.latest = 0.0
 
     def set(self, factor: float, limit: float, steps: int, now: float) -> None:
         """Set the real-time factor, 0 for as fast as possible, and the catch-up limit [s]."""
@@ -318,9 +317,9 @@ class Pace:
         """Say how many ticks were late and whether sim time was lost."""
         late = (f'{self.overruns} of {self.ticks} ticks were late by up to '
                 f'{1e3 * self.latest:.4g} ms; ' if self.overruns else '')
-        if self.dropped_steps:
-            return (f'{late}{self.dropped_steps * self._step:.6g} s of sim time were lost to '
-                    'delays beyond catch_up_limit')
+        lost = self.dropped_steps * self._step
+        if lost:
+            return f'{late}{lost:.6g} s of sim time were lost to delays beyond catch_up_limit'
         return late + 'all were caught up, ' * bool(late) + 'no sim time was lost'
 
     def deadline(self, steps: int) -> float:

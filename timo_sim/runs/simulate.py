@@ -319,9 +319,8 @@ def simulate(scene: SceneLike, duration: float, sample_every: int = 1,
 
 
 def _say(text):
-    # Notebooks show what goes to stderr as an error.
-    stream = sys.stdout if 'ipykernel' in sys.modules else sys.stderr
-    print(f'timo_sim: {text}', file=stream, flush=True)
+    notebook = 'ipykernel' in sys.modules  # which shows what goes to stderr as an error
+    print(f'timo_sim: {text}', file=sys.stdout if notebook else sys.stderr, flush=True)
 
 
 def _thin(run, every):
