@@ -129,7 +129,7 @@ stress-quick: $(VENV)/.benchmark ## do a part of make stress
 
 clean:
 	rm -rf $(VENV) .venv-lowest .venv-without-ros run build install log .pytest_cache .mypy_cache \
-		*.egg-info timo_sim/compiled/prebuilt
+		*.egg-info timo_sim/compiled/prebuilt doc/api
 
 # A virtual environment that git does not see.
 %/.made:
@@ -157,7 +157,7 @@ $(VENV)/.plot: EXTRAS := ros,plot
 $(VENV)/.gallery: EXTRAS := ros,plot,view
 $(VENV)/.benchmark: EXTRAS := ros,benchmark
 $(VENV)/.test: EXTRAS := ros,all,test
-$(VENV)/.docs: EXTRAS := docs,rl
+$(VENV)/.docs: EXTRAS := docs
 $(VENV)/.run $(VENV)/.plot $(VENV)/.gallery $(VENV)/.benchmark $(VENV)/.test $(VENV)/.docs: \
 		constraints.txt $(METADATA) | $(VENV)/.made
 	$(INSTALL)

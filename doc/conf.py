@@ -5,18 +5,25 @@
 
 from pathlib import Path
 import re
+import shutil
+import subprocess
 
+from docutils.nodes import image, raw, Text
 from sphinx.addnodes import pending_xref
-from timo_sim.version import __version__
+import timo_sim
 
 project = html_title = 'timo_sim'
 author = 'The timo_sim authors'
 copyright = f'2026, {author}'
-release = __version__
+release = timo_sim.__version__
 
 # MathJax is part of the site, which needs no network.
-extensions = ['myst_parser', 'numpydoc', 'sphinx.ext.autodoc', 'sphinx.ext.mathjax',
-              'sphinx-mathjax-offline']
+extensions = ['myst_nb', 'numpydoc', 'sphinx.ext.autodoc', 'sphinx.ext.autosummary',
+              'sphinx.ext.mathjax', 'sphinx-mathjax-offline']
+# Notebooks are kept without outputs.
+nb_execution_mode = 'force'
+nb_execution_raise_on_error = True
+nb_execution_timeout = 300  # [s] for a cell
 myst_enable_extensions = ['dollarmath']
 myst_heading_anchors = 4
 highlight_language = 'none'
@@ -24,7 +31,12 @@ mathjax3_config = {'chtml': {'scale': 0.9}}
 # Docstrings say types with shapes and units.
 autodoc_typehints = 'none'
 autodoc_member_order = 'bysource'
-autodoc_default_options = {'members': True, 'inherited-members': 'BaseException'}
+autodoc_default_options = {'members': True, 'inherited-members': 'BaseException, Env, VectorEnv'}
+# Each name in api.md has a page; that of a class has a file name of its own where small and
+# capital letters are the same (`fit`, `Fit`). Pages of names that are gone do not stay.
+autosummary_filename_map = {f'timo_sim.{name}': f'timo_sim.{name}-class'
+                            for name in timo_sim.__all__ if name[0].isupper()}
+shutil.rmtree('api', ignore_errors=True)
 toc_object_entries_show_parents = 'hide'
 default_role = 'py:obj'
 numpydoc_show_class_members = False
@@ -34,8 +46,16 @@ numpydoc_validation_checks = {'all', 'ES01', 'EX01', 'GL02', 'GL03', 'PR01', 'PR
                               'RT03', 'SA01'}
 
 html_theme = 'pydata_sphinx_theme'
-html_theme_options = {'navbar_center': []}
-templates_path = html_static_path = ['site']
+html_theme_options = {
+    'logo': {'text': f'{project} {release}'}, 'navbar_center': [],
+    'navbar_end': ['repository', 'theme-switcher'], 'secondary_sidebar_items': []}
+# The web address of the remote `origin`, if it has one.
+_origin = re.search(r'^(?:\w+://)?(?:[^/]*@)?([\w.-]+\.\w+)(?::\d+)?[:/](.+?)(?:\.git)?/?$',
+                    subprocess.getoutput('git remote get-url origin'))
+html_context = {'default_mode': 'auto',
+                'repository': _origin and f'https://{_origin[1]}/{_origin[2]}'}
+templates_path = ['site']
+html_static_path = ['site/static']
 html_css_files = ['site.css']
 html_sidebars = {'**': ['contents']}
 html_show_sourcelink = False
@@ -57,6 +77,15 @@ def _adapt_links(app, page):
                 link.replace_self(link.children)
 
 
+def _adapt_figures(app, page):
+    """Make pictures links to themselves; animations find their icons in the site."""
+    for picture in page.findall(image):
+        picture['scale'] = 100  # Sphinx links pictures that have a scale
+    for part in page.findall(raw):
+        part.children = [Text(re.sub('<link [^>]*"https?:[^>]*>', '', part.astext()))]
+
+
 def setup(app):
     app.connect('include-read', _relative_to_doc)
     app.connect('doctree-read', _adapt_links)
+    app.connect('doctree-read', _adapt_figures)

@@ -23,6 +23,7 @@ import numpy as np
 import pytest
 import timo_sim
 from timo_sim import extras
+from timo_sim.compiled.machine import COMPILING
 import yaml
 
 ROOT = Path(__file__).resolve().parents[1]
@@ -378,6 +379,17 @@ def test_the_notebook_runs():
     assert lowest[0] == pytest.approx(-0.5738, abs=2e-4) and lowest[1] < -10.0
 
 
+def test_a_notebook_shows_what_is_compiled_as_a_line(tmp_path, monkeypatch):
+    """Notebooks show what goes to stderr as an error."""
+    client = pytest.importorskip('nbclient')
+    from nbformat.v4 import new_code_cell, new_notebook
+    monkeypatch.setenv('NUMBA_CACHE_DIR', str(tmp_path))
+    cell = new_code_cell("import timo_sim\nrun = timo_sim.simulate({'model.modes': 7}, 0.01)")
+    client.NotebookClient(new_notebook(cells=[cell])).execute()
+    assert [(each.name, each.text) for each in cell.outputs] == [
+        ('stdout', f'timo_sim: {COMPILING}\n')]
+
+
 def test_the_site(tmp_path):
     """`make docs` builds it; a warning, such as a broken link, is an error."""
     pytest.importorskip('sphinx')
@@ -385,7 +397,7 @@ def test_the_site(tmp_path):
     site = {str(path.relative_to(tmp_path)): unescape(path.read_text())
             for path in tmp_path.rglob('*.html') if '_static' not in path.parts}
     sources = {str(path.relative_to(ROOT / 'doc').with_suffix('.html')): path.read_text()
-               for path in (ROOT / 'doc').rglob('*.md')}
+               for kind in ('*.md', '*.ipynb') for path in (ROOT / 'doc').rglob(kind)}
     # Every page is one click from every other, and links between pages are links.
     for page, source in sources.items():
         linked = {normpath(join(dirname(page), href))
@@ -394,9 +406,18 @@ def test_the_site(tmp_path):
         for name, place in re.findall(r'\]\(([\w/.]+)\.md(#[\w-]+)?\)', source):
             there = re.sub(r'\.\./README$', 'index', name) + '.html' + place
             assert f'<a class="reference internal" href="{there}"><span class="std' in site[page]
+        assert f'timo_sim {timo_sim.__version__}</p>' in site[page]
+        assert re.search('href="(https://[^"#]+|[^"#]*#help-citing-licence)">Repo', site[page])
+        # Pictures open.
+        assert not re.search(r'(?<!">)<img alt', site[page])
     for name in {*timo_sim.__all__} - {'__version__'}:
-        assert f'id="timo_sim.{name}"' in site['api.html'], name
-    assert 'ndarray, shape (n,)' in site['api.html'] and r'\tag{T1}' in site['theory.html']
+        there, = re.findall(rf'href="(api/[^"]*)#timo_sim.{name}"', site['api.html'])
+        assert f'id="timo_sim.{name}"' in site[there]
+    assert 'ndarray, shape (n,)' in site['api/timo_sim.Run-class.html']
+    assert r'\tag{T1}' in site['theory.html']
+    # The notebook has its outputs, none of which looks like an error.
+    shown = site['tutorial/arm.html']
+    assert 'mode 5:' in shown and 'anim-controls' in shown and 'stderr' not in shown
     # Nothing is loaded from the network: MathJax is part of the site.
     assert not re.findall(r'<(?:script|link|img)[^>]*(?:src|href)="(https?:[^"]*)',
                           '\n'.join(site.values()))

@@ -73,7 +73,7 @@ def test_arguments_of_the_simulator(launch, client, tmp_path):
     pid, = launched.seen(r'sim_node-1\]: process started with pid \[(\d+)\]')
     assert (tmp_path / '1.mcap').exists()
     os.kill(int(pid), signal.SIGKILL)
-    launched.wait_for('waiting for commands', 2)
+    launched.wait_for('ready for commands', 2)
     assert (tmp_path / '1_1.mcap').exists()
     launched.process.send_signal(signal.SIGINT)
     assert launched.wait()[0] == 0

@@ -41,9 +41,10 @@ def _about_run(log, notes):
         yield from _entry('set later', [
             f'at step {step}: {name} = {json.dumps(value)}'[:90]
             for step, _, values in changes for name, value in values.items()][:20])
+    yield from _entry('timing', [text for name, text in summary.items() if name == 'timing'])
     # Earlier versions also noted a peak.
     counted = [f'{name[:40]} {value[:20]}' for name, value in summary.items()
-               if not name.startswith('peak')][:_MOST_COUNTERS]
+               if not name.startswith(('peak', 'timing'))][:_MOST_COUNTERS]
     yield from _entry('counted', [
         ', '.join(counted[first:first + _IN_A_LINE])
         for first in range(0, len(counted), _IN_A_LINE)

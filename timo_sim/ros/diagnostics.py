@@ -99,6 +99,7 @@ class Health:
         grown = [name for name, count in counters.items() if count > self._before.get(name, 0)
                  and name != 'foreign_joints']  # no fault: a command may be for several robots
         self._before = counters
+        timing = self._loop.pace.report()
         waits = not pace and self._loop.gate.waiting
         state = ('paused' if self._loop.paused else 'waiting for a command' if waits else
                  'running')
@@ -108,7 +109,8 @@ class Health:
             hardware_id='timo_sim', level=DiagnosticStatus.OK, message=state)
         errors = [self._loop.diverged, self._log.error]
         warnings = [self._simulator.warning, *self._around,
-                    grown and 'more ' + ', '.join(grown)]
+                    grown and 'more ' + ', '.join(grown),
+                    not {'overruns', 'dropped_time_s'}.isdisjoint(grown) and timing]
         for level, texts in ((DiagnosticStatus.WARN, warnings), (DiagnosticStatus.ERROR, errors)):
             if any(texts):
                 status.level = level
@@ -117,6 +119,7 @@ class Health:
             'state': state,
             'sim_time_s': snapshot.nanoseconds / NANOSECONDS,
             'real_time_factor': f'{pace:.4f}',
+            'timing': timing,
             'energy_J': snapshot.energy,
             'estimated_tip_error_m': f'{error:.2g}',
             'log': self._log.path or 'off',

@@ -144,7 +144,7 @@ class SimNode(ParameterNode):
         # After publishing, because rclpy's first log line in a process takes a tenth of a second.
         self.get_logger().info(
             f'{"paused" if self.paused else "running"}: {self._simulator.scene.modal_count} '
-            f'modes, step {self._step:g} s, waiting for commands' + (
+            f'modes, step {self._step:g} s, ready for commands' + (
                 f', logging to {self._log.path}' if self._log.path else ''))
         self._opened = time.monotonic()
         self._loop.pace.start(self.steps, self._opened)
@@ -178,10 +178,10 @@ class SimNode(ParameterNode):
         self._health.pass_on_warning()
         if self._live:
             self._live.close()
-        pace = self._loop.pace
-        report = (f'simulated {self.steps * self._step:.6g} s in {wall_time:.3f} s, '
-                  f'{pace.overruns} overruns, {pace.dropped_steps * self._step:.6g} s dropped')
+        timing = self._loop.pace.report()
+        report = f'simulated {self.steps * self._step:.6g} s in {wall_time:.3f} s; {timing}'
         self._log.close({
+            'timing': timing,
             'estimated_tip_error_m': f'{error:.3g}',
             **{name: str(count) for name, count in self._health.counters().items()}})
         if self._log.path:

@@ -305,9 +305,7 @@ def simulate(scene: SceneLike, duration: float, sample_every: int = 1,
     with tqdm(total=steps, unit='step', unit_scale=True, delay=1.0, disable=None,
               leave=False) as bar:
         try:
-            run = run_scene(
-                scene, steps, sample_every // parts, bar.update,
-                lambda text: print(f'timo_sim: {text}', file=sys.stderr, flush=True))
+            run = run_scene(scene, steps, sample_every // parts, bar.update, _say)
         except DivergenceError as error:
             error.run = _thin(error.run, parts)
             raise
@@ -318,6 +316,11 @@ def simulate(scene: SceneLike, duration: float, sample_every: int = 1,
     if run.warning:
         warn(run.warning)
     return run
+
+
+def _say(text):
+    notebook = 'ipykernel' in sys.modules  # which shows what goes to stderr as an error
+    print(f'timo_sim: {text}', file=sys.stdout if notebook else sys.stderr, flush=True)
 
 
 def _thin(run, every):
