@@ -5,14 +5,12 @@
 
 from bisect import bisect_left
 from collections.abc import Mapping
-from functools import cache
-import math
+from functools import partial
 from typing import NamedTuple
 
 import numpy as np
 from numpy.typing import ArrayLike
 from scipy import sparse
-from scipy.linalg import orth
 from scipy.optimize import linprog
 
 from timo_sim.runs.linear import LinearModel
@@ -25,7 +23,6 @@ _LIMITS = Parameter('limit and rate_limit', (), '', '', low=0.0, open_low=True, 
 _LONGEST = 2**14    # periods of a plan
 _ROUND_OFF = 1e-13  # relative, of what should vanish
 _DEPENDENT = 1e-10  # relative singular value of constraints that depend on each other
-_MARGIN = 1e-6      # of the limits, for the tolerance of the linear program
 
 
 class Plan(NamedTuple):
@@ -42,7 +39,7 @@ class Plan(NamedTuple):
 
 
 def feedforward(model: LinearModel, goal: Mapping[str, float], duration: float | None = None,
-                limit: ArrayLike = math.inf, rate_limit: ArrayLike = math.inf) -> Plan:
+                limit: ArrayLike = np.inf, rate_limit: ArrayLike = np.inf) -> Plan:
     """
     Return the Plan of a linear model in discrete time from rest to rest at a goal (T55).
 
@@ -50,12 +47,8 @@ def feedforward(model: LinearModel, goal: Mapping[str, float], duration: float |
     The duration [s] is a whole multiple of `model.dt`; None is the shortest that the limits allow.
     `limit` is the largest magnitude of the inputs, `rate_limit` that of their rates [1/s], shape
     () or (inputs,). The plan has the least squared changes of the inputs, with which a rigid arm
-    moves with least jerk, or the least largest change if those would exceed a limit.
-
-    Raises
-    ------
-    ParameterError
-        If the duration is too short, with the shortest; if no duration is long enough.
+    moves with least jerk, or the least largest change if those would exceed a limit. Raises
+    ParameterError if the duration is too short, with the shortest, or if none is long enough.
 
     Examples
     --------
@@ -71,15 +64,9 @@ def feedforward(model: LinearModel, goal: Mapping[str, float], duration: float |
     values = _GOAL.check([*goal.values()])
     limits = np.stack([np.broadcast_to(_LIMITS.check(each), len(model.inputs)) * unit
                        for each, unit in ((limit, 1.0), (rate_limit, model.dt))])
-    if duration is None and np.isinf(limits).all():
-        raise ParameterError('duration must be given if there are no limits')
     low = high = len(model.A) if duration is None else whole_ratio(
         'duration', _DURATION.check(duration), 'dt', model.dt)
-
-    @cache
-    def inputs(steps):
-        return _inputs(model.select(outputs=[*goal]), values, steps, limits)
-
+    inputs = partial(_inputs, model.select(outputs=[*goal]), values, limits)
     while inputs(high) is None:
         low, high = high, 2 * high
         if high > _LONGEST:
@@ -90,21 +77,18 @@ def feedforward(model: LinearModel, goal: Mapping[str, float], duration: float |
         if duration is not None:
             raise ParameterError(f'duration must be at least {high * model.dt:.6g} s to reach the '
                                  f'goal within the limits, got {duration:g} s')
-    u = inputs(high)
-    u = np.vstack([np.zeros(len(model.inputs)), u])
+    u = np.vstack([np.zeros(len(model.inputs)), inputs(high)])
     x = np.zeros((len(u), len(model.A)))
     for k in range(len(u) - 1):
         x[k + 1] = model.A @ x[k] + model.B @ u[k]
     return Plan(model.dt * np.arange(len(u)), x, u, x @ model.C.T + u @ model.D.T)
 
 
-def _inputs(model, values, steps, limits):
+def _inputs(model, values, limits, steps):
     """Return the inputs from the second period on, (steps, m), or None if there are none."""
-    # The last state and input: what vanishes only at rest, and the goal.
-    moving = orth(np.hstack([model.A - np.eye(len(model.A)), model.B]).T, _ROUND_OFF).T
-    of_state, of_input = np.split(
-        np.vstack([moving, np.hstack([model.C, model.D])]), [len(model.A)], axis=1)
-    columns, end = [of_input], np.append(np.zeros(len(moving)), values)
+    # At the end states change no more, and the outputs are those of the goal.
+    of_state = np.vstack([model.A - np.eye(len(model.A)), model.C])
+    columns, end = [np.vstack([model.B, model.D])], np.append(np.zeros(len(model.A)), values)
     for _ in range(steps - 1):
         columns.append(of_state @ model.B)
         of_state = of_state @ model.A
@@ -128,14 +112,11 @@ def _inputs(model, values, steps, limits):
 
     # The unknowns are u and the largest change, in units in which the norm of `end` is 1.
     unit, zero, one = np.linalg.norm(end), np.zeros(u.size), np.ones((u.size, 1))
-    bound, rate = (np.tile(each * (1.0 - _MARGIN) / unit, steps) for each in limits)
+    bound, rate = (np.tile(each / unit, steps) for each in limits)
     change = sparse.eye(u.size) - sparse.eye(u.size, k=-u.shape[1])
     rates = sparse.bmat([[change, -one], [-change, -one], [change, None], [-change, None]])
     most = np.concatenate([zero, zero, rate, rate])
     found = linprog(np.append(zero, 1.0), rates.tocsr()[np.isfinite(most)],
                     most[np.isfinite(most)], np.pad(rows, [(0, 0), (0, 1)]), end / unit,
                     [*zip(-bound, bound), (0.0, None)], method='highs-ipm')
-    if found.status:
-        return None
-    u = unit * found.x[:-1]
-    return (u + rows.T @ (end - rows @ u)).reshape(steps, -1)
+    return None if found.status else unit * found.x[:-1].reshape(steps, -1)

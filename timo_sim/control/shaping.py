@@ -57,20 +57,15 @@ class Shaper:
 def shaper(plant: SceneLike | ArrayLike, kind: str = 'ZVD', modes: int = 1,
            tolerance: float = 0.05) -> Shaper:
     """
-    Return the Shaper that keeps the slowest vibrations of a scene, or poles, from being excited.
+    Return the Shaper that does not excite the slowest vibrations of a scene, or poles (T53).
 
-    The plant is a scene, which is commanded by forces and torques, with a number of `modes`; or
-    poles [1/s] with positive imaginary parts, complex, (n,): those of a closed loop, or of the
-    clamped arm, `timo_sim.modes(scene, 0.0).poles`, for a shaft that follows its angle exactly.
-    ZV (zero vibration) makes a command longer by half a period of each mode; ZVD (zero vibration
-    and derivative) and EI (extra insensitive, which leaves the tolerance at the mode) by a period,
-    and tolerate errors of the frequency, EI larger ones.
-
-    Raises
-    ------
-    ParameterError
-        If a pole does not vibrate, or grows; if the scene has less vibrations; if a pole is damped
-        too much for EI.
+    The plant is a scene that forces and torques move, with the number of its `modes`; or poles
+    [1/s] with positive imaginary parts, complex, (n,): those of a closed loop, or for a shaft that
+    follows its angle exactly `timo_sim.modes(scene, 0.0).poles`. ZV (zero vibration) makes a
+    command longer by half a period of each mode. ZVD (zero vibration and derivative) and EI (extra
+    insensitive), which leaves the tolerance (T54) at the mode, take a period and tolerate errors
+    of the frequency, EI larger ones. Raises ParameterError if a pole does not vibrate, or grows,
+    or is damped too much for the tolerance.
 
     Examples
     --------
@@ -83,7 +78,7 @@ def shaper(plant: SceneLike | ArrayLike, kind: str = 'ZVD', modes: int = 1,
 
     """
     Parameter('kind', '', '', '', choices=('ZV', 'ZVD', 'EI')).check(kind)
-    left = Parameter('tolerance', 0.0, '', '', low=0.0, high=1.0).check(tolerance)
+    left = Parameter('tolerance', 0.0, '', '', low=0.0, high=1.0, open_low=True).check(tolerance)
     if np.iscomplexobj(plant):
         poles = np.atleast_1d(plant)
     else:
