@@ -122,5 +122,5 @@ def test_what_cannot_be_shaped_is_refused(given, said):
 
 
 def test_a_mode_that_does_not_vibrate_has_no_residual():
-    with pytest.raises(timo_sim.ParameterError, match='damping must be >= 0 and < 1, got 1.0'):
+    with pytest.raises(timo_sim.ParameterError, match='damping must be >= 0 and < 1, got 1'):
         timo_sim.shaper('paper').residual(1.0, 1.0)

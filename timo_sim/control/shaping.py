@@ -3,9 +3,10 @@
 
 """Input shapers: a command in parts whose vibrations cancel; see doc/theory.md, section 12."""
 
-from collections.abc import Callable
+from collections.abc import Callable, Sequence
 from dataclasses import dataclass
 import math
+from typing import Any
 
 import numpy as np
 from numpy.typing import ArrayLike
@@ -24,12 +25,12 @@ class Shaper:
     times: np.ndarray
     amplitudes: np.ndarray
 
-    def shape(self, command: Callable[[float], ArrayLike]) -> Callable[[float], np.ndarray]:
+    def shape(self, command: Callable[[Any], Any]) -> Callable[[Any], Any]:
         """Return a function of time [s], shaped; the given one is asked for earlier times, too."""
         return lambda t: sum(amplitude * np.asarray(command(t - time))
                              for time, amplitude in zip(self.times, self.amplitudes))
 
-    def shape_samples(self, samples: ArrayLike, dt: float) -> np.ndarray:
+    def shape_samples(self, samples: Sequence[float] | np.ndarray, dt: float) -> np.ndarray:
         """
         Return samples at intervals dt [s], shape (k,), shaped: (k + times[-1] / dt,), rounded up.
 
@@ -48,13 +49,13 @@ class Shaper:
         """
         ratio = np.asarray(damping, dtype=float)
         if not ((ratio >= 0.0) & (ratio < 1.0)).all():
-            raise ParameterError(f'damping must be >= 0 and < 1, got {damping}')
+            raise ParameterError(f'damping must be >= 0 and < 1, got {damping!r}')
         poles = 2.0 * math.pi * np.asarray(frequency) * (1j * np.sqrt(1.0 - ratio**2) - ratio)
         return np.abs(np.exp(np.multiply.outer(poles, self.times[-1] - self.times))
                       @ self.amplitudes)
 
 
-def shaper(plant: SceneLike | ArrayLike, kind: str = 'ZVD', modes: int = 1,
+def shaper(plant: SceneLike | list[complex] | np.ndarray, kind: str = 'ZVD', modes: int = 1,
            tolerance: float = 0.05) -> Shaper:
     """
     Return the Shaper that does not excite the slowest vibrations of a scene, or poles (T53).
@@ -79,8 +80,8 @@ def shaper(plant: SceneLike | ArrayLike, kind: str = 'ZVD', modes: int = 1,
     """
     Parameter('kind', '', '', '', choices=('ZV', 'ZVD', 'EI')).check(kind)
     left = Parameter('tolerance', 0.0, '', '', low=0.0, high=1.0, open_low=True).check(tolerance)
-    if np.iscomplexobj(plant):
-        poles = np.atleast_1d(plant)
+    if isinstance(plant, (list, np.ndarray)):
+        poles = np.ravel(np.asarray(plant, dtype=complex))
     else:
         poles = vibrations(plant).poles
         poles = poles[:Parameter('modes', 1, '', '', low=1, high=len(poles)).check(modes)]
