@@ -90,7 +90,7 @@ def test_the_shortest_plan_of_a_rigid_arm_is_that_of_an_s_curve():
 
 
 @pytest.mark.parametrize('given, said', [
-    ({'model': model(), 'duration': 0.01}, 'duration must be at least 0.0.* s, got 0.01|to reach'),
+    ({'model': model(), 'duration': 0.01}, r'at least 0\.\d+ s to reach the goal .* got 0.01 s'),
     ({'model': model(**FREE), 'duration': 2.0, 'goal': {
         'shaft_rad': 1.0, 'carrier_y_m': 0.0}}, 'goal must be in reach of the inputs'),
     ({'model': model(**HANGS), 'limit': 2.0}, 'goal must be in reach of the inputs within their'),
