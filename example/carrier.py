@@ -14,7 +14,7 @@ is the motion that they cause, almost no vibration is left.
 
 from loop import PERIOD
 import numpy as np
-from slew import main, rest_to_rest, SCENE
+from slew import DURATION, main, SCENE
 import timo_sim
 
 GOAL = 0.0, 0.5, 0.0                            # carrier x, y [m], shaft [rad]
@@ -41,14 +41,14 @@ class Follower:
 
     def __init__(self, scene, feed_forward=True):
         model = timo_sim.linearize(scene).select(INPUTS, SEEN).to_discrete(PERIOD)
-        states, forces = rest_to_rest(model, {'carrier_y_m': GOAL[1]})
-        self.path, self.forces = states @ model.C.T, forces * feed_forward
+        self.plan = timo_sim.feedforward(model, dict(zip(SEEN, GOAL)), DURATION)
+        self.feed_forward = feed_forward
 
     def effort(self, t, seen):
         """Return the forces on the carrier [N] and the torque on the shaft [N m]."""
-        place = min(round(t / PERIOD), len(self.path) - 1)
-        off = self.path[place] - seen.joints[:6]
-        forces = self.forces[place] + STIFFNESS * off[:3] + DAMPING * off[3:]
+        plan = self.plan.at(t)
+        off = plan.y - seen.joints[:6]
+        forces = self.feed_forward * plan.u + STIFFNESS * off[:3] + DAMPING * off[3:]
         return dict(zip(JOINTS, forces.tolist()))
 
 

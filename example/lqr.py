@@ -14,11 +14,12 @@ the nonlinear one, with noise and with limits on the torque.
 from loop import PERIOD
 import numpy as np
 from scipy.linalg import solve_discrete_are
-from slew import DURATION, GOAL, main, rest_to_rest, SCENE
+from slew import DURATION, GOAL, main, SCENE
 import timo_sim
 
 # Deviations that cost as much as a torque of 1 N m.
 SCALES = {'shaft_rad': 0.002, 'shaft_velocity_rad_per_s': 0.02, 'tip_transverse_m': 0.002}
+SHARE = 0.9            # of the torque's limit, for the plan; the rest is for feedback
 PROCESS_NOISE = 3e-4  # standard deviation of each rate's change in a period that is not modelled
 
 
@@ -30,8 +31,8 @@ class LQR:
     ----------
     scene : timo_sim.Scene
         Has the noise of encoder and strain gauge, and the limit of the torque.
-    duration : float
-        Duration of the plan [s].
+    duration : float or None
+        Duration of the plan [s]; None: the shortest that the limit allows.
 
     """
 
@@ -43,7 +44,8 @@ class LQR:
         self.d = model.D  # the torque strains the root at once, by the shaft's acceleration
         self.limit = scene.values['motor.torque_limit']
 
-        self.path, self.torque = rest_to_rest(model, {'shaft_rad': GOAL[2]}, duration)
+        self.plan = timo_sim.feedforward(model, {'shaft_rad': GOAL[2]}, duration,
+                                         SHARE * self.limit)
         p = solve_discrete_are(a, b, weighed.T @ weighed, np.eye(1))
         self.gain = np.linalg.solve(1.0 + b.T @ p @ b, b.T @ p @ a)
 
@@ -57,8 +59,8 @@ class LQR:
 
     def effort(self, t, seen):
         """Return the torque on the shaft [N m] that answers what is seen."""
-        place, x = min(round(t / PERIOD), len(self.path) - 1), self.observe(seen)
-        wanted = self.torque[place] - self.gain @ (x - self.path[place])
+        plan, x = self.plan.at(t), self.observe(seen)
+        wanted = plan.u - self.gain @ (x - plan.x)
         self.expect(x, np.clip(wanted, -self.limit, self.limit))
         return {'shaft': float(self.acting[0])}
 

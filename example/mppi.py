@@ -40,7 +40,8 @@ class MPPI:
     """
 
     def __init__(self, scene):
-        self.observer, self.limit = LQR(scene), scene.values['motor.torque_limit']
+        self.observer = LQR(scene, 3.0)  # whose plan is not used
+        self.limit = scene.values['motor.torque_limit']
         self.batch = timo_sim.Batch(scene.vary({
             'model.modes': 2, 'integrator.step': 0.005, 'motor.torque_rate_limit': np.inf}),
             n=ROLLOUTS)

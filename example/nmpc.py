@@ -69,7 +69,8 @@ class NMPC:
     times: list[float] = []  # of solutions [s]
 
     def __init__(self, scene):
-        self.observer, self.limit = LQR(scene), scene.values['motor.torque_limit']
+        self.observer = LQR(scene, 3.0)  # whose plan is not used
+        self.limit = scene.values['motor.torque_limit']
         self.plant = Plant(timo_sim.Simulator(scene.vary({
             'model.modes': 2, 'integrator.step': 0.005, 'motor.torque_limit': np.inf,
             'motor.torque_rate_limit': np.inf})))

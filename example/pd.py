@@ -12,7 +12,7 @@ view pd.mcap` shows it. `--loop` does the same without ROS.
 """
 
 from loop import PERIOD
-from slew import GOAL, main, SCENE, smooth
+from slew import DURATION, GOAL, main, SCENE, smooth
 import timo_sim
 
 STIFFNESS, DAMPING = 1000.0, 100.0  # [N m/rad], [N m s/rad]
@@ -41,9 +41,9 @@ class PD:
                 + DAMPING * (speed - turned / PERIOD)}
 
 
-def turn(t):
-    """Return angle [rad] and speed [rad/s] of a smooth slew."""
-    part, rate = smooth(t)
+def turn(t, duration=DURATION):
+    """Return angle [rad] and speed [rad/s] of a smooth slew at a time [s]."""
+    part, rate = smooth(t, duration)
     return GOAL[2] * part, GOAL[2] * rate
 
 

@@ -7,15 +7,13 @@ Input shaping: the slew of a PD-controlled shaft in two or three parts whose vib
     ros2 run timo_sim sim_node --ros-args --params-file example/slew.yaml
     python example/shaping.py ZVD --plot shaping.png
 
-ZV (zero vibration) makes a slew longer by half a period of the vibration; ZVD (zero vibration and
-derivative) by a whole one, and tolerates errors of the frequency. Both shape a shorter slew, so
-that the shaped one takes as long as the slew of the other examples.
-N. C. Singer, W. P. Seering, J. Dyn. Syst. Meas. Control 112 (1990) 76-82.
+ZV, ZVD and EI shape a shorter slew, so that the shaped one takes as long as the slew of the other
+examples.
 """
 
 import numpy as np
-from pd import DAMPING, PD, STIFFNESS
-from slew import DURATION, GOAL, main, SCENE, smooth
+from pd import DAMPING, PD, STIFFNESS, turn
+from slew import DURATION, main, SCENE
 import timo_sim
 
 
@@ -27,42 +25,12 @@ def vibration(scene):
     return min(poles[poles.imag > 0.0], key=abs)
 
 
-def shaper(pole, kind):
-    """
-    Return times [s] and sizes, shape (n,), of the impulses after which a pole does not vibrate.
-
-    Parameters
-    ----------
-    pole : complex
-        [1/s].
-    kind : str
-        'none', 'ZV' or 'ZVD'.
-
-    """
-    half = np.pi / pole.imag
-    step = np.array([1.0, np.exp(pole.real * half)])
-    sizes = {'none': [1.0], 'ZV': step, 'ZVD': np.convolve(step, step)}[kind]
-    return half * np.arange(len(sizes)), sizes / np.sum(sizes)
-
-
-class Shaped:
-    """A shaped slew, as a reference for PD: slews of some sizes that begin at some times [s]."""
-
-    def __init__(self, times, sizes, duration):
-        self.times, self.sizes, self.duration = times, sizes, duration
-
-    def __call__(self, t):
-        """Return angle [rad] and speed [rad/s] at a time [s]."""
-        part, rate = smooth(t - self.times, self.duration)
-        return GOAL[2] * self.sizes @ part, GOAL[2] * self.sizes @ rate
-
-
 def shaped(scene, kind):
     """Return the PD controller of a slew that is shaped for a scene."""
-    times, sizes = shaper(vibration(scene), kind)
-    return PD(Shaped(times, sizes, DURATION - times[-1]))
+    shaper = timo_sim.shaper([vibration(scene)], kind)
+    return PD(shaper.shape(lambda t: turn(t, DURATION - shaper.times[-1])))
 
 
 if __name__ == '__main__':
     main(__doc__, timo_sim.load_scene(SCENE), {
-        kind: lambda scene, kind=kind: shaped(scene, kind) for kind in ('none', 'ZV', 'ZVD')})
+        kind: lambda scene, kind=kind: shaped(scene, kind) for kind in ('ZV', 'EI', 'ZVD')})

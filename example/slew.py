@@ -2,7 +2,7 @@
 # SPDX-License-Identifier: Apache-2.0
 
 """
-What the examples share: slew, plan of a motion from rest to rest, score, picture, command line.
+What the examples share: slew, score, picture, command line.
 
 The arm turns by 45 degrees within 2 s, on a carrier with its brakes on; then it should be at rest.
 """
@@ -12,7 +12,7 @@ import math
 from pathlib import Path
 from typing import NamedTuple
 
-from loop import in_a_loop, PERIOD
+from loop import in_a_loop
 import numpy as np
 
 SCENE = Path(__file__).with_name('slew.yaml')
@@ -27,42 +27,6 @@ def smooth(t, duration=DURATION):
     """Return the share of the way that a minimum-jerk motion has done at t [s], its rate [1/s]."""
     s = np.clip(t / duration, 0.0, 1.0)
     return s**3 * (10.0 - 15.0 * s + 6.0 * s**2), 30.0 * (s * (1.0 - s))**2 / duration
-
-
-def rest_to_rest(model, target, duration=DURATION):
-    """
-    Plan a motion of a discrete linear model from rest to rest, after which it does not vibrate.
-
-    Inputs begin and end at zero, and the sum of their squared changes is minimal: for a rigid arm
-    this is the minimum-jerk motion.
-
-    Parameters
-    ----------
-    model : timo_sim.LinearModel
-        `to_discrete(PERIOD)`.
-    target : dict
-        Values at the end by name of state; the other states end at 0.
-    duration : float
-        [s].
-
-    Returns
-    -------
-    x, u : ndarray, shape (steps + 1, n), (steps + 1, m)
-        States at each period, and inputs from then on.
-
-    """
-    (n, m), steps = model.B.shape, round(duration / PERIOD)
-    a = np.block([[model.A, model.B], [np.zeros((m, n)), np.eye(m)]])
-    change = np.vstack([np.zeros((n, m)), np.eye(m)])
-    reached = [change]  # state at the end after a unit change: the last, the last but one, ...
-    while len(reached) < steps:
-        reached.append(a @ reached[-1])
-    end = [target.get(name, 0.0) for name in model.states] + [0.0] * m
-    changes = np.linalg.lstsq(np.hstack(reached[::-1]), end, rcond=None)[0].reshape(steps, m)
-    path = [np.zeros(n + m)]
-    for each in changes:
-        path.append(a @ path[-1] + change @ each)
-    return np.array(path)[:, :n], np.array(path)[:, n:]
 
 
 class Score(NamedTuple):

@@ -55,48 +55,30 @@ def test_a_shaper_leaves_the_share_of_a_vibration_that_its_impulses_predict(scen
     A fit of all poles to the deflection gives the vibration.
     """
     from loop import in_a_loop
-    from pd import PD
-    from shaping import Shaped, shaper, vibration
+    from pd import PD, turn
+    from shaping import vibration
     plant = scene.vary({**IDEAL, 'end_effector.mass': mass})
     poles = closed_loop(plant)
+    shapers = {kind: timo_sim.shaper([vibration(scene)], kind) for kind in ('ZV', 'ZVD', 'EI')}
     found, expected = {}, {}
-    for kind in ('none', 'ZV', 'ZVD'):
-        times, sizes = shaper(vibration(scene), kind)
-        record = in_a_loop(plant, PD(Shaped(times, sizes, 1.0)), LONG)
+    for kind, shaper in (('none', None), *shapers.items()):
+        def slew(t):
+            return turn(t, 1.0)
+        record = in_a_loop(plant, PD(shaper.shape(slew) if shaper else slew), LONG)
         after = record[:, 0] > 1.0 + 2.0 * np.pi / poles[0].imag + 0.2
         modes = np.exp(np.outer(record[after, 0], poles))
         fit = np.linalg.lstsq(np.hstack([modes.real, modes.imag]), record[after, 11],
                               rcond=None)[0]
         found[kind] = np.hypot(fit[0], fit[len(poles)])
-        expected[kind] = abs(sizes @ np.exp(-poles[0] * times))
-    for kind in ('ZV', 'ZVD'):
+    for kind, shaper in shapers.items():
         # Terms of second order in the motion are 4e-4 of the unshaped vibration.
+        expected[kind] = abs(shaper.amplitudes @ np.exp(-poles[0] * shaper.times))
         assert found[kind] / found['none'] == pytest.approx(expected[kind], abs=1e-3)
     if mass == 2.0:
         # The shaper takes the pole of a loop that measures the speed without delay.
         assert expected['ZV'] < 0.01 and expected['ZVD'] < 1e-4
     else:
         assert expected['ZV'] > 0.07 and expected['ZVD'] < 0.01
-
-
-def test_the_plan_of_a_rigid_arm_is_the_motion_of_least_jerk(scene):
-    """Held torques delay it by half a period; the remaining difference is of second order."""
-    from slew import GOAL, PERIOD, rest_to_rest, smooth
-    rigid = timo_sim.linearize(scene.vary({'model.modes': 0})).select(['torque_N_m'])
-    x, _ = rest_to_rest(rigid.to_discrete(PERIOD), {'shaft_rad': GOAL[2]})
-    part, rate = smooth(PERIOD * (np.arange(len(x)) - 0.5))
-    # (PERIOD / DURATION)^2 is 1e-6.
-    assert x == pytest.approx(GOAL[2] * np.column_stack([part, rate]), abs=1e-5)
-
-
-def test_a_plan_ends_at_rest(scene):
-    """The plan is a motion of the model, with all modes of the arm."""
-    from slew import PERIOD, rest_to_rest
-    model = timo_sim.linearize(scene).select(['torque_N_m']).to_discrete(PERIOD)
-    x, u = rest_to_rest(model, {'shaft_rad': 1.0}, 1.0)
-    assert x[1:] == pytest.approx(x[:-1] @ model.A.T + u[:-1] @ model.B.T, abs=1e-12)
-    assert x[-1] == pytest.approx([1.0] + [0.0] * (len(model.states) - 1), abs=1e-11)
-    assert np.abs(u[[0, -1]]).max() < 1e-11
 
 
 @pytest.mark.parametrize('seed, other, left', [
@@ -116,16 +98,17 @@ def test_lqr_leaves_less_vibration_than_pd(scene, seed, other, left):
     assert ours < left * theirs
 
 
-def test_rollouts_respect_a_limit_that_the_plan_of_an_lqr_cannot(scene):
-    """The motor has half the torque of the plan; a bang-bang slew of a rigid arm takes 2.3 s."""
+def test_a_weak_motor_slews_the_arm_by_rollouts_or_by_a_plan_within_its_limit(scene):
+    """The motor has half the torque of the plan of 2 s; a bang-bang slew takes at least 2.3 s."""
     from loop import in_a_loop
     from lqr import LQR
     from mppi import LIMIT, MPPI
     from slew import score
     weak = scene.vary({'motor.torque_limit': LIMIT})
-    ours, theirs = (in_a_loop(weak, make(weak), 3.4) for make in (MPPI, LQR))
-    # Measured: 2.68 s; the LQR has not settled after 5 s.
-    assert score(ours).settled < 3.2 and score(theirs).settled == np.inf
+    rollouts, plan = (in_a_loop(weak, make(weak), 3.4) for make in (
+        MPPI, lambda scene: LQR(scene, None)))
+    # Measured: 2.68 and 2.35 s.
+    assert score(plan).settled < 2.6 and score(rollouts).settled < 3.2
 
 
 def test_feeding_the_flexible_arms_forces_forward_leaves_almost_no_vibration(scene):

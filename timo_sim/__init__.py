@@ -9,6 +9,8 @@ from typing import Any, TYPE_CHECKING
 from timo_sim.version import __version__
 
 if TYPE_CHECKING:
+    from timo_sim.control.feedforward import feedforward, Plan
+    from timo_sim.control.shaping import Shaper, shaper
     from timo_sim.export.c import export_c
     from timo_sim.export.fmu import export_fmu
     from timo_sim.fitting.record import read_record, Record
@@ -35,14 +37,17 @@ _MODULES = {
     'LinearModel': 'runs.linear',
     'ModelWarning': 'scene.parameters',
     'ParameterError': 'scene.parameters',
+    'Plan': 'control.feedforward',
     'Record': 'fitting.record',
     'Run': 'runs.run',
     'Scene': 'scene.scene',
     'Sensitivities': 'runs.sensitivities',
+    'Shaper': 'control.shaping',
     'Simulator': 'simulation.simulator',
     'choose_resolution': 'runs.simulate',
     'export_c': 'export.c',
     'export_fmu': 'export.fmu',
+    'feedforward': 'control.feedforward',
     'fit': 'fitting.result',
     'linearize': 'runs.linear',
     'load_scene': 'scene.scene',
@@ -51,15 +56,17 @@ _MODULES = {
     'project_on_modes': 'scene.scene',
     'read_record': 'fitting.record',
     'sensitivities': 'runs.sensitivities',
+    'shaper': 'control.shaping',
     'simulate': 'runs.simulate',
     'simulate_many': 'runs.sweep',
 }
 
 __all__ = [
-    'Batch', 'DivergenceError', 'Fit', 'LinearModel', 'ModelWarning', 'ParameterError', 'Record',
-    'Run', 'Scene', 'Sensitivities', 'Simulator', '__version__', 'choose_resolution', 'export_c',
-    'export_fmu', 'fit', 'linearize', 'load_scene', 'modes', 'open_log', 'project_on_modes',
-    'read_record', 'sensitivities', 'simulate', 'simulate_many']
+    'Batch', 'DivergenceError', 'Fit', 'LinearModel', 'ModelWarning', 'ParameterError', 'Plan',
+    'Record', 'Run', 'Scene', 'Sensitivities', 'Shaper', 'Simulator', '__version__',
+    'choose_resolution', 'export_c', 'export_fmu', 'feedforward', 'fit', 'linearize', 'load_scene',
+    'modes', 'open_log', 'project_on_modes', 'read_record', 'sensitivities', 'shaper', 'simulate',
+    'simulate_many']
 
 
 def __getattr__(name: str) -> Any:

@@ -21,7 +21,7 @@ import timo_sim
 
 sys.path.append(str(ROOT / 'example'))
 import carrier  # noqa: E402
-from loop import in_a_loop, PERIOD  # noqa: E402
+from loop import in_a_loop  # noqa: E402
 from lqr import LQR  # noqa: E402
 import mppi  # noqa: E402
 from pd import PD, turn  # noqa: E402
@@ -40,26 +40,22 @@ class Planned(PD):
     """PD on the plan of the LQR, whose torque is fed forward."""
 
     def __init__(self, scene):
-        plan = LQR(scene)
-        names = timo_sim.linearize(scene).states
+        self._plan, names = LQR(scene).plan, timo_sim.linearize(scene).states
         places = [names.index(name) for name in ('shaft_rad', 'shaft_velocity_rad_per_s')]
-        self._path, self._torque = plan.path[:, places], plan.torque[:, 0]
-        super().__init__(lambda t: self._path[self._place(t)])
-
-    def _place(self, t):
-        return min(round(t / PERIOD), len(self._path) - 1)
+        super().__init__(lambda t: self._plan.at(t).x[places])
 
     def effort(self, t, seen):
         """Return the torque on the shaft [N m] that answers what is seen."""
-        return {'shaft': super().effort(t, seen)['shaft'] + self._torque[self._place(t)]}
+        return {'shaft': super().effort(t, seen)['shaft'] + self._plan.at(t).u[0]}
 
 
 SLEWS = {'PD': lambda scene: PD(turn), 'ZV': lambda scene: shaped(scene, 'ZV'),
-         'ZVD': lambda scene: shaped(scene, 'ZVD'), 'LQR': LQR,
+         'ZVD': lambda scene: shaped(scene, 'ZVD'), 'EI': lambda scene: shaped(scene, 'EI'),
+         'LQR': LQR,
          "PD on the LQR's plan": Planned}
 # With a motor that is too weak for the plan of 2 s.
-WEAK = {'ZV': SLEWS['ZV'], 'LQR': LQR, 'LQR, plan of 3 s': lambda scene: LQR(scene, 3.0),
-        'MPPI': mppi.MPPI}
+WEAK = {'ZV': SLEWS['ZV'], 'LQR, plan of 3 s': lambda scene: LQR(scene, 3.0),
+        'LQR, shortest plan': lambda scene: LQR(scene, None), 'MPPI': mppi.MPPI}
 SEEDS = range(10)
 PAYLOAD = 2.0  # [kg]
 COLOURS = {'PD': '#d55e00', 'ZV': '#e69f00', 'ZVD': '#009e73', 'LQR': '#0072b2'}

@@ -1,0 +1,123 @@
+# Copyright 2026 The timo_sim authors
+# SPDX-License-Identifier: Apache-2.0
+
+"""Feed-forward against closed forms of a rigid arm, the linear model, and the nonlinear arm."""
+
+import numpy as np
+import pytest
+
+import timo_sim
+
+DT = 0.01
+ARM = {'carrier.held': 'both', 'initial.shaft': 0.0}
+FREE = {'carrier.held': 'none', 'initial.shaft': 0.5}
+HANGS = {'gravity': [0.0, -9.81], 'initial.shaft': -1.5, 'initial.equilibrium': True}
+DC = {'motor.dc.resistance': 2.0, 'motor.dc.torque_constant': 0.5, 'motor.dc.gear_ratio': 20.0}
+FORCES = 'force_x_N', 'force_y_N', 'torque_N_m'
+
+
+def model(inputs=('torque_N_m',), **values):
+    """Return the discrete model of the paper's arm, on a carrier that is held."""
+    return timo_sim.linearize({**ARM, **values}).select(inputs).to_discrete(DT)
+
+
+# Limits just below what the plans without limits take, so that all of them act.
+@pytest.mark.parametrize('inputs, values, goal, limits', [
+    (['torque_N_m'], {}, {'shaft_rad': 1.0}, {'limit': 18.0}),
+    (['torque_N_m'], {}, {'tip_y_m': 1.5}, {'rate_limit': 72.0}),
+    (['torque_N_m'], {'arm.damping_ratio': 0.02}, {'shaft_rad': -1.0},
+     {'limit': 18.0, 'rate_limit': 200.0}),
+    (['voltage_V'], DC, {'shaft_rad': 1.0}, {'limit': 9.0}),
+    (FORCES, FREE, {'carrier_x_m': 0.0, 'carrier_y_m': 0.5, 'shaft_rad': 0.0},
+     {'limit': [3.0, 10.0, 9.0]}),
+    (['torque_N_m'], FREE, {'shaft_rad': 0.3}, {'limit': 4.5}),
+    (['torque_N_m'], HANGS, {'shaft_rad': 0.1}, {'rate_limit': 7.4})],
+    ids=['limit', 'rate', 'both', 'voltage', 'carrier', 'no force', 'gravity'])
+def test_a_plan_is_a_motion_that_ends_at_rest_within_its_limits(inputs, values, goal, limits):
+    plant = model(inputs, **values)
+    for given in ({}, limits):
+        plan = timo_sim.feedforward(plant, goal, 2.0, **given)
+        x, u = plan.x, plan.u
+        assert x[0] == pytest.approx(0.0) and u[0] == pytest.approx(0.0)
+        assert x[1:] == pytest.approx(x[:-1] @ plant.A.T + u[:-1] @ plant.B.T, abs=1e-12)
+        # Held, the last inputs keep the last state: it is rest.
+        rest = plant.A @ x[-1] + plant.B @ u[-1]
+        assert rest == pytest.approx(x[-1], abs=1e-13)
+        reached = dict(zip(plant.outputs, plan.y[-1]))
+        assert {name: reached[name] for name in goal} == pytest.approx(goal, abs=1e-12)
+        within = [bool((np.abs(each) <= np.multiply(limits.get(name, np.inf), unit)).all())
+                  for name, each, unit in (('limit', u, 1.0),
+                                           ('rate_limit', np.diff(u, axis=0), DT))]
+        assert all(within) == bool(given)
+    assert plan.at(1.0).x == pytest.approx(x[100]) and plan.at(9.0).u == pytest.approx(u[-1])
+    if values is HANGS:  # the weight of an arm that hangs asks for a torque
+        assert abs(u[-1, 0]) > 1.0
+
+
+def rigid():
+    """Return the model of a rigid arm, and its moment of inertia [kg m2]."""
+    plant = model(**{'model.modes': 0})
+    return plant, DT / plant.B[1, 0]
+
+
+def test_the_plan_of_a_rigid_arm_is_the_motion_of_least_jerk():
+    """Held torques delay it by half a period; the remaining difference is of second order."""
+    plan = timo_sim.feedforward(rigid()[0], {'shaft_rad': 1.0}, 2.0)
+    s = np.clip((plan.t - 0.5 * DT) / 2.0, 0.0, 1.0)
+    jerk = np.column_stack([s**3 * (10.0 - 15.0 * s + 6.0 * s**2), 15.0 * (s * (1.0 - s))**2])
+    assert plan.x == pytest.approx(jerk, abs=20.0 * (DT / 2.0)**2)
+
+
+def test_the_shortest_plan_of_a_rigid_arm_is_that_of_an_s_curve():
+    """
+    It reaches the angle d with torques L that change at rates R: (T/2)^2 - (T/2) L/R = J d / L.
+
+    Its trapezoids of torque, of duration T/2, are L (T/2 - L/R) in area.
+    """
+    plant, inertia = rigid()
+    limit, rate = 30.0, 150.0
+    half = np.roots([1.0, -limit / rate, -inertia / limit]).max()
+    plan = timo_sim.feedforward(plant, {'shaft_rad': 1.0}, None, limit, rate)
+    # Torques are held, and are 0 in the first and the last period.
+    assert 2.0 * half <= plan.t[-1] < 2.0 * half + 2.5 * DT
+    with pytest.raises(timo_sim.ParameterError, match=f'at least {plan.t[-1]:.6g} s .* got '):
+        timo_sim.feedforward(plant, {'shaft_rad': 1.0}, plan.t[-1] - DT, limit, rate)
+    # A longer plan, for which least jerk takes 1.2 times the limit, has the least rate.
+    half = DT * round(np.sqrt(5.77 / 1.2 * inertia / limit) / 2.0 / DT)
+    plan = timo_sim.feedforward(plant, {'shaft_rad': 1.0}, 2.0 * half, limit)
+    ramp = half - inertia / (limit * half)
+    assert np.abs(np.diff(plan.u[:, 0])).max() / DT == pytest.approx(limit / ramp, rel=0.03)
+
+
+@pytest.mark.parametrize('given, said', [
+    ({'model': model(), 'duration': 0.01}, r'at least 0\.\d+ s to reach the goal .* got 0.01 s'),
+    ({'model': model(**FREE), 'duration': 2.0, 'goal': {
+        'shaft_rad': 1.0, 'carrier_y_m': 0.0}}, 'goal must be in reach of the inputs'),
+    ({'model': model(**HANGS), 'limit': 2.0}, 'goal must be in reach of the inputs within their'),
+    ({'model': timo_sim.linearize(ARM), 'duration': 1.0}, 'use model.to_discrete'),
+    ({'model': model(), 'duration': 1.001}, 'must be a whole multiple of dt = 0.01'),
+    ({'model': model(), 'duration': -1.0}, 'duration must be a finite number > 0 s, got -1.0'),
+    ({'model': model(), 'duration': 1.0, 'limit': 0.0}, 'limit and rate_limit must be .* > 0'),
+    ({'model': model(), 'duration': 1.0, 'goal': {'shaft': 1.0}}, 'did you mean shaft_rad'),
+    ({'model': model(), 'duration': 1.0, 'goal': {'shaft_rad': np.nan}}, 'goal must be')])
+def test_what_cannot_be_planned_is_refused(given, said):
+    with pytest.raises(timo_sim.ParameterError, match=said):
+        timo_sim.feedforward(**{'goal': {'shaft_rad': 1.0}, **given})
+
+
+def test_the_nonlinear_arm_comes_to_rest_without_feedback():
+    """Of the plan of a rigid arm, which is as fast, more than 20 times as much is left."""
+    left = []
+    for modes in (0, 3):
+        scene = timo_sim.load_scene({**ARM, 'motor.torque_limit': 18.0})
+        plant = timo_sim.linearize(scene.vary({'model.modes': modes})).select(['torque_N_m'])
+        plan = timo_sim.feedforward(plant.to_discrete(DT), {'shaft_rad': 1.0}, 2.0, 18.0)
+        simulator, bent = timo_sim.Simulator(scene), []
+        for torque in plan.u[:, 0]:
+            motion = simulator.step(torque=torque, duration=DT)
+        for _ in range(100):
+            simulator.step(duration=DT)
+            bent.append(simulator.deflection()[1])
+        left.append(np.abs(bent).max())
+    assert left[1] < left[0] / 20.0
+    assert motion.shaft == pytest.approx(1.0, abs=1e-3)

@@ -1,0 +1,122 @@
+# Copyright 2026 The timo_sim authors
+# SPDX-License-Identifier: Apache-2.0
+
+"""Feed-forward within limits, from a linear model; see doc/theory.md, section 12."""
+
+from bisect import bisect_left
+from collections.abc import Mapping
+from functools import partial
+from typing import NamedTuple
+
+import numpy as np
+from numpy.typing import ArrayLike
+from scipy import sparse
+from scipy.optimize import linprog
+
+from timo_sim.runs.linear import LinearModel
+from timo_sim.scene.parameters import Parameter, ParameterError, whole_ratio
+
+_GOAL = Parameter('goal', (), '', '')
+_DURATION = Parameter('duration', 1.0, 's', '', low=0.0, open_low=True)
+_LIMITS = Parameter('limit and rate_limit', (), '', '', low=0.0, open_low=True, finite=False,
+                    alone=True)
+_LONGEST = 2**14    # periods of a plan
+_ROUND_OFF = 1e-13  # relative, of what should vanish
+_DEPENDENT = 1e-10  # relative singular value of constraints that depend on each other
+
+
+class Plan(NamedTuple):
+    """Times t [s], states x, inputs u that are held from then on, outputs y; shapes (k, ...)."""
+
+    t: np.ndarray
+    x: np.ndarray
+    u: np.ndarray
+    y: np.ndarray
+
+    def at(self, t: float) -> 'Plan':
+        """Return the period nearest to a time [s], or the last one, without the first axis."""
+        return Plan(*(each[min(round(t / self.t[1]), len(each) - 1)] for each in self))
+
+
+def feedforward(model: LinearModel, goal: Mapping[str, float], duration: float | None = None,
+                limit: ArrayLike = np.inf, rate_limit: ArrayLike = np.inf) -> Plan:
+    """
+    Return the Plan of a linear model in discrete time from rest to rest at a goal (T55).
+
+    The goal has values at the end by name of output, `{'shaft_rad': 0.8}`; other outputs are free.
+    The duration [s] is a whole multiple of `model.dt`; None is the shortest that the limits allow.
+    `limit` is the largest magnitude of the inputs, `rate_limit` that of their rates [1/s], shape
+    () or (inputs,). The plan has the least squared changes of the inputs, with which a rigid arm
+    moves with least jerk, or the least largest change if those would exceed a limit. Raises
+    ParameterError if the duration is too short, with the shortest, or if none is long enough.
+
+    Examples
+    --------
+    >>> import timo_sim
+    >>> model = timo_sim.linearize('paper').select(['torque_N_m']).to_discrete(0.01)
+    >>> plan = timo_sim.feedforward(model, {'shaft_rad': 1.0}, 2.0, limit=15.0)
+    >>> abs(plan.u.round(3)).max(axis=0)
+    array([15.])
+
+    """
+    if model.dt is None:
+        raise ParameterError('the model must be of discrete time: use model.to_discrete(dt)')
+    values = _GOAL.check([*goal.values()])
+    limits = np.stack([np.broadcast_to(_LIMITS.check(each), len(model.inputs)) * unit
+                       for each, unit in ((limit, 1.0), (rate_limit, model.dt))])
+    low = high = len(model.A) if duration is None else whole_ratio(
+        'duration', _DURATION.check(duration), 'dt', model.dt)
+    inputs = partial(_inputs, model.select(outputs=[*goal]), values, limits)
+    while inputs(high) is None:
+        low, high = high, 2 * high
+        if high > _LONGEST:
+            raise ParameterError('goal must be in reach of the inputs within their limits, got '
+                                 f'one that is not within {low * model.dt:g} s')
+    if high > low:  # all durations from the shortest on are possible, because a plan may wait
+        high = bisect_left(range(high), True, low + 1, key=lambda k: inputs(k) is not None)
+        if duration is not None:
+            raise ParameterError(f'duration must be at least {high * model.dt:.6g} s to reach the '
+                                 f'goal within the limits, got {duration:g} s')
+    u = np.vstack([np.zeros(len(model.inputs)), inputs(high)])
+    x = np.zeros((len(u), len(model.A)))
+    for k in range(len(u) - 1):
+        x[k + 1] = model.A @ x[k] + model.B @ u[k]
+    return Plan(model.dt * np.arange(len(u)), x, u, x @ model.C.T + u @ model.D.T)
+
+
+def _inputs(model, values, limits, steps):
+    """Return the inputs from the second period on, (steps, m), or None if there are none."""
+    # At the end states change no more, and the outputs are those of the goal.
+    of_state = np.vstack([model.A - np.eye(len(model.A)), model.C])
+    columns, end = [np.vstack([model.B, model.D])], np.append(np.zeros(len(model.A)), values)
+    for _ in range(steps - 1):
+        columns.append(of_state @ model.B)
+        of_state = of_state @ model.A
+    rows = np.hstack(columns[::-1])
+    # As orthonormal rows, without those that vanish or depend on others: rows @ u = end.
+    scale = np.linalg.norm(rows, axis=1)
+    kept = scale > _ROUND_OFF * scale.max()
+    impossible, end = end[~kept].any(), end[kept] / scale[kept]
+    left, size, rows = np.linalg.svd(rows[kept] / scale[kept, np.newaxis], full_matrices=False)
+    kept = size > _DEPENDENT * size[0]
+    missed = end - left[:, kept] @ (left[:, kept].T @ end)
+    if impossible or np.linalg.norm(missed) > _DEPENDENT * np.linalg.norm(end):
+        return None
+    rows, end = rows[kept], left[:, kept].T @ end / size[kept]
+
+    of_change = rows.reshape(len(rows), steps, -1)[:, ::-1].cumsum(axis=1)[:, ::-1]
+    changes = np.linalg.lstsq(of_change.reshape(rows.shape), end, rcond=None)[0]
+    u = changes.reshape(steps, -1).cumsum(axis=0)
+    if (np.abs([u, changes.reshape(u.shape)]) <= limits[:, np.newaxis]).all():
+        return u
+
+    # The unknowns are u and the largest change, in units in which the norm of `end` is 1.
+    unit, zero, one = np.linalg.norm(end), np.zeros(u.size), np.ones((u.size, 1))
+    bound, rate = (np.tile(each / unit, steps) for each in limits)
+    change = sparse.eye(u.size) - sparse.eye(u.size, k=-u.shape[1])
+    rates = sparse.bmat([[change, -one], [-change, -one], [change, None], [-change, None]])
+    most = np.concatenate([zero, zero, rate, rate])
+    found = linprog(np.append(zero, 1.0), rates.tocsr()[np.isfinite(most)],
+                    most[np.isfinite(most)], np.pad(rows, [(0, 0), (0, 1)]), end / unit,
+                    [*zip(-bound, bound), (0.0, None)], method='highs-ipm')
+    return None if found.status else unit * found.x[:-1].reshape(steps, -1)
