@@ -244,10 +244,15 @@ def _jacobian(model, function, at, columns):
     length = model.manipulator.arm.length
     steps = np.tile(_DIFFERENCE * np.concatenate(
         [[length, length, 1.0], 1.0 / model.section_turn_bound]), 2)
-    # Coulomb friction must be linear within the differences of speeds.
-    joints = model.size // 2 + np.arange(3)
-    speeds = np.array(model.manipulator.coulomb)[[0, 0, 1], 1]
-    steps[joints] = np.minimum(steps[joints], _DIFFERENCE * speeds)
+    # Coulomb friction must be linear within the differences of speeds, and a gear within its play.
+    joints, slow = model.size // 2 + np.arange(3), np.array(model.manipulator.coulomb)[:, 1]
+    steps[joints] = np.minimum(steps[joints], _DIFFERENCE * slow[[0, 0, 1]])
+    if model.gear:
+        rates = slice(model.size // 2 + 2, None)
+        turns = np.where(model.rotor[2:] > 0.0, model.rotor[2:], np.nan)
+        steps[rates] = np.fmin(steps[rates], _DIFFERENCE * slow[2] / turns)
+        play, place = 0.5 * model.gear.backlash or 1.0, model.gear_place
+        steps[place] = min(steps[place], _DIFFERENCE * play / model.rotor[place])
     found = []
     for column in columns:
         shift = np.zeros_like(at)

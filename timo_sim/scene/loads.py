@@ -177,17 +177,19 @@ _STABLE = 2.5
 
 def check_slope(scene: Any) -> None:
     """Raise ParameterError if steps are too long for friction that builds up over a speed."""
-    limit, speed = np.array(scene.manipulator.coulomb)[[0, 0, 1]].T
+    limit, speed, asymmetry = np.array(scene.manipulator.coulomb)[[0, 0, 1, 2]].T
     if not limit.any():
         return
     model, motion = scene.build(), scene.initial_motion()
     free = [*model.axes, *range(2 + model.driven, model.size // 2)]
-    root = np.sqrt(limit / speed)[[joint for joint in free if joint < 3], np.newaxis]
+    # The steepest slope of t (1 + a t) is at most 1 + 0.52 a times the one at rest.
+    root = np.sqrt(limit / speed * (1.0 + 0.52 * np.abs(asymmetry)))[:, np.newaxis]
+    joints = np.vstack([np.eye(3, model.size // 2), model.rotor])[:, free]
     rate = 0.0
     # Along the arm the carrier is less mobile than across it.
     for motion[2] in (0.0, 0.5 * np.pi):
-        mobility = np.linalg.inv(model.mass_matrix(motion)[0][np.ix_(free, free)])
-        slopes = root * mobility[:len(root), :len(root)] * root.T
+        mobility = joints @ np.linalg.inv(model.mass_matrix(motion)[0][np.ix_(free, free)])
+        slopes = root * (mobility @ joints.T) * root.T
         rate = max(rate, *np.linalg.eigvalsh(slopes), 0.0)
     if rate * scene.step > _STABLE:
         raise ParameterError(f'integrator.step = {scene.step:g} s must be at most '
