@@ -133,6 +133,11 @@ class Formulation(ABC):
         self._linear_parts: dict[float, dict[int | None, Any]] = {}
 
     @property
+    def driven_turns(self) -> np.ndarray:
+        """Places of carrier and rotor, on which commands act, per coordinate, (3 + N, 3)."""
+        return np.column_stack([*np.eye(2, self.size // 2), self.rotor])
+
+    @property
     def gear_place(self) -> int:
         """Place of the gear's coordinate, its twist times `sqrt(J_r)`, in a motion (T60)."""
         return self.size // 2 - self.axial - 1

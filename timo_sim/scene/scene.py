@@ -536,7 +536,7 @@ def check_gear(values: Mapping[str, Any]) -> None:
             dry = name == 'motor.coulomb_friction' and elastic
             if values[name] and not values[speed] and (dry or 'asymmetry' in name):
                 raise ParameterError(f'{speed} must be > 0 rad/s with {name} = {values[name]:g}'
-                                     + dry * ' and an elastic gear, whose rotor alone can stick')
+                                     + bool(dry) * ' and an elastic gear, whose rotor alone can stick')
     if not elastic:
         return
     for name, good, rule in (

@@ -77,6 +77,9 @@ SENSORS = (
     Sensor('encoder', 'rad', 'the shaft angle',
            '~/encoder', ('shaft_rad',),
            of_motion=lambda model, motions: motions[:, 2], quantity='shaft', joint='shaft'),
+    Sensor('rotor', 'rad', 'the angle of the rotor over the gear ratio, of an encoder at the motor',
+           '~/rotor', ('rotor_rad',),
+           of_motion=lambda model, motions: motions[:, :len(model.rotor)] @ model.rotor),
 )
 
 
