@@ -159,7 +159,7 @@ def test_a_stiff_gear_is_a_rigid_one_whatever_the_step(more):
     """
     The distance is one over the stiffness; a step has twenty vibrations of the gear.
 
-    With one axis held, where the state has rates, that leaves an error of 1e-5 m, see (T62).
+    With one axis held, where the state has rates, that leaves an error of 1e-5 m.
     """
     scene = timo_sim.load_scene('paper', {'motor.viscous_friction': 0.2, 'integrator.step': 0.01,
                                           **more})
@@ -226,7 +226,8 @@ def test_friction_that_depends_on_direction(formulation):
     inertia = inertia_of(scene) + ROTOR
     for speed, share in ((10.0, 1.3), (-10.0, -0.7)):
         run = timo_sim.simulate(scene.vary({'initial.shaft_velocity': speed}), 0.5, estimate=False)
-        assert run.shaft_velocity == pytest.approx(speed - 0.2 * share / inertia * run.t, abs=1e-10)
+        wanted = speed - 0.2 * share / inertia * run.t
+        assert run.shaft_velocity == pytest.approx(wanted, abs=1e-10)
         lost = 0.5 * inertia * (speed**2 - run.shaft_velocity**2)
         assert run.dissipated() == pytest.approx(lost, abs=1e-8)
 

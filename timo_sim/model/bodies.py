@@ -195,7 +195,7 @@ class Manipulator:
     carrier_friction: float = 0.0  # viscous, along either axis, c_c [N s/m]
     shaft_friction: float = 0.0    # viscous, c_s [N m s/rad]
     # Mean limits of the Coulomb friction of carrier [N], shaft and rotor [N m] that builds up over
-    # a speed, each with this speed [m/s], [rad/s] and its asymmetry (T64).
+    # a speed, each with this speed [m/s], [rad/s] and its asymmetry (T63).
     coulomb: tuple = 3 * ((0.0, 1.0, 0.0),)
     hub_radius: float = 0.0  # from the shaft's axis to the root of the arm, r_h [m]
     gear: Gear | None = None  # None: the rotor is part of the shaft

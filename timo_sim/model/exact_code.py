@@ -375,7 +375,7 @@ def write_rate(tables, state, load, work, out):
     return forces
 
 
-# An elastic gear (T60), (T61); without one the torque on the rotor is that on the shaft.
+# An elastic gear (T60) to (T62); without one the torque on the rotor is that on the shaft.
 
 PER_COORDINATE, DRAG, PLAY = range(3)  # columns of `Tables.gear`
 
@@ -410,7 +410,7 @@ def _linear_drag(tables, speed, rest, coordinates):
 
 @inner
 def _without_contact(tables, work, place):
-    """Return the force of spring and damper of the gear that backlash takes away (T61)."""
+    """Return the force of spring and damper of the gear that backlash takes away (T62)."""
     taken = 0.0
     for n in range(len(tables.gear)):
         play = tables.gear[n, PLAY]

@@ -110,8 +110,8 @@ class Formulation(ABC):
         self.rotor = np.zeros(self.size // 2)
         self.rotor[2] = 1.0
         if self.gear:
-            self.damping = np.insert(self.damping, arm - axial, 0.5 * self.gear.damping / math.sqrt(
-                self.gear.stiffness * self.gear.inertia))
+            ratio = 0.5 * self.gear.damping / math.sqrt(self.gear.stiffness * self.gear.inertia)
+            self.damping = np.insert(self.damping, arm - axial, ratio)
             self.rotor[self.gear_place] = 1.0 / math.sqrt(self.gear.inertia)
         self.driven = int(constraints.driven)
         free = constraints.free_axes
@@ -226,7 +226,7 @@ class Formulation(ABC):
 
     @cached_property
     def section_turn_bound(self) -> np.ndarray:
-        """Largest turn, shear and stretch of a section, or turn of the rotor, by each q_n, (N,)."""
+        """Largest turn, shear and stretch of a section, or turn of the rotor, per q_n, (N,)."""
         xi, modes = self.points.xi, self.modes
         found = np.max(np.abs(modes.rotation(xi)) + np.abs(modes.shear(xi))
                        + np.abs(modes.stretch(xi)), axis=0)
@@ -388,7 +388,7 @@ class Formulation(ABC):
                         viscous * speeds + limit * share * (1.0 + asymmetry * share))
 
     def gear_torque(self, motions: np.ndarray) -> np.ndarray:
-        """Return the torque of an elastic gear on the shaft in motions (T61), (n,) [N m]."""
+        """Return the torque of an elastic gear on the shaft in motions (T62), (n,) [N m]."""
         gear, place = self.gear, self.gear_place
         if gear is None:
             raise ValueError('the gear is rigid: motor.gear.stiffness is 0')
@@ -402,7 +402,7 @@ class Formulation(ABC):
         return torque
 
     def _gear_power(self, motions):
-        # Power that a gear, in place of a spring with modal damping, and friction of its rotor take.
+        # Power that the friction of the rotor takes, and a gear more than its modal damping.
         gear, place, rates = self.gear, self.gear_place, motions[:, self.size // 2:]
         twist, rate = (self.rotor[place] * each[:, place] for each in (motions, rates))
         play, speed = 0.5 * gear.backlash, rates @ self.rotor

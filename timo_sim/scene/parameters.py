@@ -288,8 +288,8 @@ _ALL = [
                   'shaft'),
     _not_negative('motor.coulomb_speed', 0.0, 'rad/s', 'speed over which it builds up'),
     _asymmetry('motor', 'shaft'),
-    _not_negative('motor.gear.stiffness', 0.0, 'N m/rad', 'torsional stiffness of the gear, at the '
-                  'shaft; the torque then acts on the rotor; 0: the gear is rigid'),
+    _not_negative('motor.gear.stiffness', 0.0, 'N m/rad', 'torsional stiffness of the gear, at '
+                  'the shaft; the torque then acts on the rotor; 0: the gear is rigid'),
     _not_negative('motor.gear.damping', 0.0, 'N m s/rad', 'damping beside this stiffness'),
     _not_negative('motor.gear.backlash', 0.0, 'rad', 'play of the gear at the shaft, from stop to '
                   'stop'),

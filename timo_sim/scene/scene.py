@@ -28,6 +28,7 @@ from timo_sim.scene.loads import (
 from timo_sim.scene.parameters import (
     changed, check, DEFAULTS, DELAYS, did_you_mean, Parameter, ParameterError, PARAMETERS, SCENE,
     short, today, warn, whole_ratio)
+from timo_sim.topics.outputs import Output, outputs
 
 # Ranges of real solids; `load_scene` warns of values outside.
 _PLAUSIBLE = {'young_modulus': (1e5, 2e12, 'Pa'), 'density': (10.0, 25000.0, 'kg/m3')}
@@ -81,6 +82,11 @@ class Scene:
     def modal_count(self) -> int:
         """Number of modal coordinates: in bending, of an elastic gear, then of axial modes."""
         return modal_count(self.values)
+
+    @property
+    def outputs(self) -> list[Output]:
+        """The topics that carry its motion."""
+        return outputs(self.modal_count, self.manipulator.gear is not None)
 
     def build(self, basis: Manipulator | None = None,
               tip: tuple[float, float] | None = None) -> Formulation:
@@ -535,8 +541,9 @@ def check_gear(values: Mapping[str, Any]) -> None:
         for name in (f'{body}.coulomb_asymmetry', f'{body}.coulomb_friction'):
             dry = name == 'motor.coulomb_friction' and elastic
             if values[name] and not values[speed] and (dry or 'asymmetry' in name):
-                raise ParameterError(f'{speed} must be > 0 rad/s with {name} = {values[name]:g}'
-                                     + bool(dry) * ' and an elastic gear, whose rotor alone can stick')
+                raise ParameterError(
+                    f'{speed} must be > 0 rad/s with {name} = {values[name]:g}'
+                    + bool(dry) * ' and an elastic gear, whose rotor alone can stick')
     if not elastic:
         return
     for name, good, rule in (
