@@ -97,7 +97,8 @@ class Formulation(ABC):
         self.gravity = np.array(gravity, dtype=float)
         basis = basis or manipulator
         self.modes: Modes = modes_of(basis, count, static)
-        self.axial, self.gear = axial, manipulator.gear
+        self.axial = axial
+        self.gear: Any = manipulator.gear
         if self.gear:
             self.modes = JoinedModes(self.modes, GearMode(self.gear))
         # Modal masses are 1 with the end effector that the modes were made for.
