@@ -166,9 +166,9 @@ def linearize(scene: SceneLike, at: np.ndarray | None = None) -> LinearModel:
     are free coordinates, then their rates. Inputs are forces on carrier, tip and arm in world
     axes, torques on shaft and tip, the voltage at a DC motor; without those that have no effect.
     Outputs are carrier and shaft, tip in world axes, deflection and rotation of the tip, its angle
-    as seen from the root, strain at the root, rates of carrier and shaft, the angle of the rotor of
-    an elastic gear, and what an IMU at the tip measures: angular velocity, and specific force along
-    (`..._along_...`) and across the tip.
+    as seen from the root, strain at the root, rates of carrier and shaft, the angle of the rotor
+    of an elastic gear, and what an IMU at the tip measures: angular velocity, and specific force
+    along (`..._along_...`) and across the tip.
 
     Parameters
     ----------

@@ -261,7 +261,8 @@ class Simulator(PointsOfArm):
 
         They are exact, through the stages of each step, for the `exact` formulation without axial
         modes and without dry friction that sticks, with both axes of the carrier free or held and
-        a rigid gear. They are by what acts of commands: limits, also of rates, are not differentiated.
+        a rigid gear. They are by what acts of commands: limits, also of rates, are not
+        differentiated.
 
         Parameters
         ----------
