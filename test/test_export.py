@@ -52,6 +52,10 @@ SCENES = {
         'load.torque.piecewise.value': [0.3]},
     'five modes, push': {'model.modes': 5, 'push.position': 0.5},
     'sectors': {'carrier.held': 'x', 'initial.shaft_velocity': 20.0, 'motor.torque_limit': 0.5},
+    'gear': {'motor.gear.stiffness': 900.0, 'motor.gear.damping': 2.0, 'motor.gear.backlash': 0.01,
+             'motor.rotor.inertia': 0.5, 'motor.rotor.coulomb_friction': 0.1,
+             'motor.rotor.viscous_friction': 0.2, 'motor.coulomb_friction': 0.1,
+             'motor.coulomb_speed': 0.2, 'motor.coulomb_asymmetry': 0.5},
     'rate limits': {'motor.torque_rate_limit': 150.0, 'carrier.force_rate_limit': 400.0,
                     'motor.torque_limit': 1.5},
     'driven': {'motor.shaft': 'driven', 'motor.drive.time': [0.0, 0.0303, 0.05],
@@ -113,7 +117,7 @@ def compare(scene, folder, calls=30):
             output[:, 10:12], np.array(tips))
 
 
-DERIVED = {*SCENES} - {'sticking', 'sticking, one axis held', 'newton', 'axial', 'sectors'}
+DERIVED = {*SCENES} - {'sticking', 'sticking, one axis held', 'newton', 'axial', 'sectors', 'gear'}
 
 
 @pytest.mark.parametrize('name', SCENES)
@@ -167,7 +171,8 @@ FORCES = {
                     'push.position': 0.4, 'gravity': [1.0, -9.0]},
     'all held': {'carrier.held': 'both', 'model.axial_modes': 1, 'motor.shaft': 'locked',
                  'push.position': 0.7, 'gravity': [1.0, 2.0], 'arm.damping_ratio': [0.02]},
-    'hub': {'hub.radius': 0.3, 'gravity': [1.0, 2.0], 'arm.damping_ratio': [0.02]}}
+    'hub': {'hub.radius': 0.3, 'gravity': [1.0, 2.0], 'arm.damping_ratio': [0.02]},
+    'gear': {**SCENES['gear'], 'hub.radius': 0.3, 'gravity': [1.0, 2.0]}}
 
 
 @pytest.mark.parametrize('name', FORCES)

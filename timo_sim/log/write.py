@@ -42,7 +42,7 @@ import yaml
 from timo_sim.scene.parameters import changed, frame_names
 from timo_sim.topics.cdr import pack, schema_text, Serializer, TYPE_HASHES
 from timo_sim.topics.commands import COMMANDS
-from timo_sim.topics.outputs import in_frames, outputs, TRANSFORMS
+from timo_sim.topics.outputs import in_frames, TRANSFORMS
 from timo_sim.version import __version__
 
 if TYPE_CHECKING:  # the import of its module takes longer than `timo_sim info`
@@ -465,7 +465,7 @@ class NewLog(Recorder):
         channels = [Channel(node + command.name[1:], command.type_name) for command in COMMANDS]
         self._topics: dict[str, tuple] = {}
         frames = frame_names(values)
-        for output in (*outputs(scene.modal_count), TRANSFORMS):
+        for output in (*scene.outputs, TRANSFORMS):
             name = output.name
             topic = (name if name.startswith('/') else
                      node + name[1:] if name.startswith('~') else f'{namespace}/{name}')

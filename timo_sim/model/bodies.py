@@ -6,7 +6,7 @@
 from dataclasses import dataclass, fields
 import functools
 import math
-from typing import Any
+from typing import Any, NamedTuple
 
 import numpy as np
 from numpy.polynomial import legendre
@@ -168,6 +168,16 @@ class Beam:
         return Section(**values)
 
 
+class Gear(NamedTuple):
+    """An elastic gear between rotor and shaft (T60); all values are as seen from the shaft."""
+
+    stiffness: float  # k_g [N m/rad]
+    damping: float    # c_g [N m s/rad]
+    backlash: float   # the whole play [rad]
+    inertia: float    # of the rotor, J_r [kg m2]
+    friction: float   # viscous, of the rotor, c_r [N m s/rad]
+
+
 @dataclass(frozen=True)
 class Manipulator:
     """
@@ -184,10 +194,11 @@ class Manipulator:
     end_effector_inertia: float  # J_e [kg m2]
     carrier_friction: float = 0.0  # viscous, along either axis, c_c [N s/m]
     shaft_friction: float = 0.0    # viscous, c_s [N m s/rad]
-    # Limits of the Coulomb friction of carrier [N] and shaft [N m] that builds up over a speed,
-    # each with this speed [m/s], [rad/s].
-    coulomb: tuple = ((0.0, 1.0), (0.0, 1.0))
+    # Mean limits of the Coulomb friction of carrier [N], shaft and rotor [N m] that builds up over
+    # a speed, each with this speed [m/s], [rad/s] and its asymmetry (T63).
+    coulomb: tuple = 3 * ((0.0, 1.0, 0.0),)
     hub_radius: float = 0.0  # from the shaft's axis to the root of the arm, r_h [m]
+    gear: Gear | None = None  # None: the rotor is part of the shaft
 
     @property
     def base_mass(self) -> float:

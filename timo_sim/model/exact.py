@@ -75,6 +75,12 @@ class Exact(Formulation):
         at_points = np.concatenate([one, self.points.rotation.T], axis=1)
         rotary = at_points.T @ (self.point_inertia[:, np.newaxis] * at_points)
         rotary[0, 0] += self.manipulator.shaft_inertia
+        gear = np.empty((0, 3))
+        if self.gear:  # (T60)
+            rotary += self.gear.inertia * np.outer(self.rotor[2:], self.rotor[2:])
+            per_coordinate = self.rotor[self.gear_place]
+            gear = np.array([[per_coordinate, self.gear.friction,
+                              0.5 * self.gear.backlash / per_coordinate]])
         damping = np.append(self.manipulator.shaft_friction, 2.0 * self.damping * modes.omega)
 
         one_axis = len(self.axes) == 1
@@ -90,7 +96,7 @@ class Exact(Formulation):
             np.array(self.manipulator.coulomb), self.axes, self.held_position,
             self.points.integral[:, -1], at_points[-1], self.mass * self.gravity, push,
             self._stretch[len(self._stretch) - self.axial:], np.append(0.0, modes.omega**2),
-            np.empty((0, 2, 0)), -1, 0.0, np.empty((0, 0)))
+            np.empty((0, 2, 0)), -1, 0.0, np.empty((0, 0)), gear)
         tables, linear = self._with_linear_part(tables, locked if one_axis else None)
         if self.sectors and self.axial:
             self._band = BAND * modes.omega[0]
@@ -143,11 +149,16 @@ class Exact(Formulation):
         linear[axes:half, half + axes:] = straight
         linear[half + axes:, axes:half] = -np.diag(stiffness[self.driven:])
         linear[half + axes:, half + axes:] = -damping[self.driven:, np.newaxis] * straight
+        drag = np.zeros_like(matrix)
+        if self.gear:
+            drag = self.gear.friction * np.outer(*2 * (self.rotor[2 + self.driven:],))
+            linear[half + axes:, half + axes:] -= drag @ straight
         tables = tables._replace(straight=straight)
         if self._rate_count:
             # q'' of the last coordinates, by their own q and q' (T35).
             last = slice(-self._rate_count, None)
             rate = -inverse[last, last] * [[stiffness[last]], [damping[last]]]
+            rate[1] -= inverse[last, last] @ drag[last, last]
             linear[last] = 0.0
             linear[last, half - self._rate_count:half], linear[last, last] = rate
             tables = tables._replace(linear_rate=rate.transpose(1, 0, 2))
@@ -224,10 +235,12 @@ class Exact(Formulation):
         return tables._replace(sector=number), linear
 
     def _about_turning(self, angle, speed):
-        # The rate's derivatives by the state of a straight arm that turns. Without friction that
-        # builds up it is quadratic in speeds and momenta; other differences are good to 1e-8.
+        # The rate's derivatives by the state of a straight arm that turns. Without backlash and
+        # friction that builds up it is quadratic in speeds and momenta; other differences are good
+        # to 1e-8.
         model = copy(self)
-        model.packed = model.pack(self.tables._replace(coulomb=np.zeros((2, 2))))
+        model.packed = model.pack(self.tables._replace(
+            coulomb=np.zeros((3, 3)), gear=self.tables.gear * [1.0, 1.0, 0.0]))
         motion, load = np.zeros(self.size), np.zeros(LOADS)
         motion[2] = load[ANGLE] = angle
         motion[self.size // 2 + 2] = load[SPEED] = speed

@@ -19,7 +19,8 @@ from typing import Annotated, NamedTuple
 import numpy as np
 
 from timo_sim.compiled.constants import local_arrays
-from timo_sim.compiled.functions import as_vectors, floor, inner, local, separate, some, sum_of
+from timo_sim.compiled.functions import (
+    as_vectors, floor, inner, local, separate, some, sum_of, where)
 from timo_sim.model import functions
 from timo_sim.model.functions import sincos
 from timo_sim.model.layout import (
@@ -33,7 +34,8 @@ class Tables(NamedTuple):
 
     Sizes: 1 + N `coordinates`, of which n are `free`, the last A `axial`, and the last R have
     `rates` in place of momenta in the state (T35); n_g `nodes`, the last of which is that of a hub
-    if there is one (T50). `kernels` is 2, or 1 if that for x
+    if there is one (T50). `gears` is 1 if the gear is elastic, else 0; its coordinate precedes
+    the axial ones. `kernels` is 2, or 1 if that for x
     holds for y, too; `axes` counts those along which the carrier is free, `pushes` is 1 if a force
     may act on the arm, else 0; `turning` is the length of the state for an arm that stretches with
     one axis of the carrier held, else 0.
@@ -50,7 +52,7 @@ class Tables(NamedTuple):
     straight: Annotated[np.ndarray, 'free', 'free']     # M^-1 of the straight arm
     damping: Annotated[np.ndarray, 'coordinates']       # c_s, then 2 zeta_i omega_i
     carrier_friction: float                             # c_c
-    coulomb: Annotated[np.ndarray, 2, 2]                # `Manipulator.coulomb`
+    coulomb: Annotated[np.ndarray, 3, 3]                # `Manipulator.coulomb`
     axes: Annotated[np.ndarray, int, 'axes']            # axes along which the carrier is free
     held_position: Annotated[np.ndarray, 2]             # of a carrier that is held
     to_tip: Annotated[np.ndarray, 'padded_nodes']       # D_l, from slopes to the tip
@@ -67,6 +69,9 @@ class Tables(NamedTuple):
     bands_per_speed: float  # bands per p_0, or per q_0' of a driven shaft
     # What the linear part has for the speed of the band.
     turning: Annotated[np.ndarray, 'turning', 'turning']
+    # Of an elastic gear: turn of the rotor per coordinate, 1 / sqrt(J_r), viscous friction of the
+    # rotor c_r, half of the play as a coordinate (T60).
+    gear: Annotated[np.ndarray, 'gears', 3]
 
 
 @inner
@@ -343,9 +348,11 @@ def write_rate(tables, state, load, work, out):
 
     # p' (T28): the stiffness is in the linear part, and damping of the straight arm's speeds.
     forces = _translate(tables, state, load, work, out)
-    torque = load[TORQUE] - functions.coulomb(tables, 1, work.speed[0])
+    on_rotor, place = _rotor_torque(tables, load, work.speed), _gear_place(tables)
+    torque = on_rotor - functions.coulomb(tables, 1, work.speed[0])
+    drag = _linear_drag(tables, work.speed, out, coordinates)
     script_a, script_b = as_vectors(local((across,))), as_vectors(local((across,)))
-    moment = _set_moments(tables, load, torque, forces, work, script_a, script_b)
+    moment = _set_moments(tables, load, torque + drag, forces, work, script_a, script_b)
     for i in range(driven, count - len(tables.linear_rate)):
         # Unless one axis is held, T does not depend on the shaft angle; that sum would only give
         # round-off and is left out.
@@ -356,12 +363,65 @@ def write_rate(tables, state, load, work, out):
                 done += rotation[i, j] * script_a[j] + shear[i, j] * script_b[j]
             total = sum_of(done, across)
             if i == 0:
-                total += torque
+                total += torque + drag
         total += tables.tip_rotation[i] * load[TIP_TORQUE]
         out[momenta + i] = total - tables.damping[i] * out[coordinates + i]
-    _add_stretch_forces(tables, load, torque, forces, work, out)
+    for n in range(len(tables.gear)):
+        if place < count - len(tables.linear_rate):
+            out[momenta + place] += (tables.gear[n, PER_COORDINATE] * (on_rotor + drag)
+                                     + _without_contact(tables, work, place))
+    _add_stretch_forces(tables, load, torque, on_rotor, forces, work, out)
     _subtract_turning(tables, state, out)
     return forces
+
+
+# An elastic gear (T60) to (T62); without one the torque on the rotor is that on the shaft.
+
+PER_COORDINATE, DRAG, PLAY = range(3)  # columns of `Tables.gear`
+
+
+@inner
+def _gear_place(tables):
+    """Return the number of the gear's coordinate."""
+    return len(tables.rotation) - len(tables.stretch) - 1
+
+
+@inner
+def _rotor_torque(tables, load, speed):
+    """Return the torque on the rotor less its friction."""
+    torque = load[TORQUE]
+    for n in range(len(tables.gear)):
+        turning = speed[0] + tables.gear[n, PER_COORDINATE] * speed[_gear_place(tables)]
+        torque -= tables.gear[n, DRAG] * turning + functions.coulomb(tables, 2, turning)
+    return torque
+
+
+@inner
+def _linear_drag(tables, speed, rest, coordinates):
+    """Return the viscous friction of the rotor in the linear part, by speeds and their rest."""
+    drag = -0.0
+    for n in range(len(tables.gear)):
+        place = _gear_place(tables)
+        drag = tables.gear[n, DRAG] * (
+            speed[0] - rest[coordinates] + tables.gear[n, PER_COORDINATE] * (
+                speed[place] - rest[coordinates + place]))
+    return drag
+
+
+@inner
+def _without_contact(tables, work, place):
+    """Return the force of spring and damper of the gear that backlash takes away (T62)."""
+    taken = 0.0
+    for n in range(len(tables.gear)):
+        play = tables.gear[n, PLAY]
+        if some(play != 0.0):
+            twist, stiffness = work.coordinate[place], tables.stiffness[place]
+            force = stiffness * twist + tables.damping[place] * work.speed[place]
+            right, left = force - stiffness * play, force + stiffness * play
+            contact = where(twist > play, where(right > 0.0, right, 0.0),
+                            where((twist < -play) & (left < 0.0), left, 0.0))
+            taken = where(play > 0.0, force - contact, 0.0)
+    return taken
 
 
 @functions.observe.of(Tables)
@@ -547,6 +607,11 @@ def _energy(tables, motion, gravity):
         for j in range(count):
             twice += (motion[rates + 2 + i] * tables.rotary[i, j] * motion[rates + 2 + j])
         twice += tables.stiffness[i] * motion[2 + i] * motion[2 + i]
+    for n in range(len(tables.gear)):  # the spring of a gear is relaxed within its play
+        place, play = _gear_place(tables), tables.gear[n, PLAY]
+        twist = motion[2 + place]
+        loose = min(max(twist, -play), play)
+        twice -= tables.stiffness[place] * loose * (2.0 * twist - loose)
     return 0.5 * twice - mass * (gravity[0] * (motion[0] + _dot(to_centre, a))
                                  + gravity[1] * (motion[1] + _dot(to_centre, b)))
 
@@ -593,7 +658,7 @@ def _take_rates_of_state(tables, state, mass, inverse, work):
 
 
 @inner
-def _add_stretch_forces(tables, load, torque, forces, work, out):
+def _add_stretch_forces(tables, load, torque, on_rotor, forces, work, out):
     """Add the terms of the axial strain to dT/dq (T29); write the accelerations (T35)."""
     if len(tables.linear_rate) == 0:
         return
@@ -651,6 +716,10 @@ def _add_stretch_forces(tables, load, torque, forces, work, out):
         for j in range(driven):
             total -= factors[i, j] * load[ACCELERATION]
         force[i] = total
+    for n in range(len(tables.gear)):
+        place = _gear_place(tables)
+        force[place] += (tables.gear[n, PER_COORDINATE] * on_rotor
+                         + _without_contact(tables, work, place))
     # Solve M q'' = force for the last q'', with M = L D L^T of `_set_speed`.
     for k in range(driven, count):
         for i in range(k + 1, count):

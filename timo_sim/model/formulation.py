@@ -17,7 +17,7 @@ from timo_sim.model.bodies import Constraints, Manipulator, Quadrature
 from timo_sim.model.functions import (
     accelerations_of, efforts, energies, Flow, rate_once, tips)
 from timo_sim.model.layout import LINKS, LOADS, rotate
-from timo_sim.model.modes import axial_modes, JoinedModes, Modes, modes_of
+from timo_sim.model.modes import axial_modes, GearMode, JoinedModes, Modes, modes_of
 
 
 _DRAWN = 41  # points of the centre line that views draw
@@ -37,7 +37,8 @@ class Formulation(ABC):
     """
     Equations of motion of a manipulator in N assumed modes.
 
-    The N modes are those in bending, followed by axial ones if the arm stretches. A *motion*
+    The N modes are those in bending, then that of the gear if it is elastic (T60), then axial ones
+    if the arm stretches. A *motion*
     `[x_c, y_c, theta, q_1..q_N, d/dt of each]` of size 2 (3 + N) is the same for all formulations:
     carrier in world axes [m], shaft angle [rad], modal coordinates [m sqrt(kg)]. A *state* is what
     a formulation integrates: its free coordinates, then as many momenta or rates; size m.
@@ -47,8 +48,8 @@ class Formulation(ABC):
     manipulator : Manipulator
     count : int
         Number of assumed modes in bending; 0 is a rigid arm.
-    damping : float or array_like, shape (N,)
-        Modal damping ratios zeta_n.
+    damping : float or array_like
+        Damping ratios zeta_n of the modes of the arm.
     constraints : Constraints
     nodes : int, optional
         Least number of quadrature nodes; by default that of `node_count`.
@@ -65,6 +66,11 @@ class Formulation(ABC):
 
     Attributes
     ----------
+    rotor : ndarray, shape (3 + N,)
+        Turn of the rotor, as seen from the shaft, per coordinate; without an elastic gear the
+        shaft's.
+    damping : ndarray, shape (N,)
+        Modal damping ratios zeta_n, that of the gear included.
     axes : ndarray of int
         World axes along which the carrier is free, of 0 and 1.
     driven : int
@@ -92,12 +98,22 @@ class Formulation(ABC):
         basis = basis or manipulator
         self.modes: Modes = modes_of(basis, count, static)
         self.axial = axial
+        self.gear: Any = manipulator.gear
+        if self.gear:
+            self.modes = JoinedModes(self.modes, GearMode(self.gear))
         # Modal masses are 1 with the end effector that the modes were made for.
         self.own_modes = basis == manipulator
         if axial:
             self.modes = JoinedModes(self.modes, axial_modes(basis, axial, constraints))
-        self.damping = np.broadcast_to(np.asarray(damping, dtype=float), (len(self.modes),))
+        arm = len(self.modes) - bool(self.gear)
+        self.damping = np.broadcast_to(np.asarray(damping, dtype=float), (arm,))
         self.size = 2 * (3 + len(self.modes))
+        self.rotor = np.zeros(self.size // 2)
+        self.rotor[2] = 1.0
+        if self.gear:
+            ratio = 0.5 * self.gear.damping / math.sqrt(self.gear.stiffness * self.gear.inertia)
+            self.damping = np.insert(self.damping, arm - axial, ratio)
+            self.rotor[self.gear_place] = 1.0 / math.sqrt(self.gear.inertia)
         self.driven = int(constraints.driven)
         free = constraints.free_axes
         self.axes = np.array(free, dtype=np.int64)
@@ -116,6 +132,16 @@ class Formulation(ABC):
         self.push_point = self.at([push]) if push else None
         self.tables, self.linear = self.build()
         self._linear_parts: dict[float, dict[int | None, Any]] = {}
+
+    @property
+    def driven_turns(self) -> np.ndarray:
+        """Places of carrier and rotor, on which commands act, per coordinate, (3 + N, 3)."""
+        return np.column_stack([*np.eye(2, self.size // 2), self.rotor])
+
+    @property
+    def gear_place(self) -> int:
+        """Place of the gear's coordinate, its twist times `sqrt(J_r)`, in a motion (T60)."""
+        return self.size // 2 - self.axial - 1
 
     def linear_parts(self, step: float) -> dict[int | None, Any]:
         """Return the dict in which all `Steps` of a length [s] share their linear parts."""
@@ -201,10 +227,11 @@ class Formulation(ABC):
 
     @cached_property
     def section_turn_bound(self) -> np.ndarray:
-        """Largest turn, shear and stretch of a section by each modal coordinate, (N,)."""
+        """Largest turn, shear and stretch of a section, or turn of the rotor, per q_n, (N,)."""
         xi, modes = self.points.xi, self.modes
-        return np.max(np.abs(modes.rotation(xi)) + np.abs(modes.shear(xi))
-                      + np.abs(modes.stretch(xi)), axis=0)
+        found = np.max(np.abs(modes.rotation(xi)) + np.abs(modes.shear(xi))
+                       + np.abs(modes.stretch(xi)), axis=0)
+        return np.maximum(found, self.rotor[3:]) if self.gear else found
 
     def tip(self, motion: np.ndarray) -> np.ndarray:
         """Return the tip's position in the arm frame [m], rotation from the shaft [rad], (3,)."""
@@ -360,19 +387,46 @@ class Formulation(ABC):
         Return the friction of the equations against carrier [N] and shaft [N m], shape (n, 3).
 
         It is the viscous one and the Coulomb friction that builds up over a speed; coordinates
-        that are held, locked or driven have none.
+        that are held, locked or driven have none. That of a rotor is not part of it.
         """
         speeds, body = motions[:, self.size // 2:][:, :3], self.manipulator
         viscous = np.array([body.carrier_friction, body.carrier_friction, body.shaft_friction])
-        limit, slow = np.array(body.coulomb)[[0, 0, 1]].T
+        limit, slow, asymmetry = np.array(body.coulomb)[[0, 0, 1]].T
+        share = np.tanh(speeds / slow)
         return np.where(self.constrained, 0.0,
-                        viscous * speeds + limit * np.tanh(speeds / slow))
+                        viscous * speeds + limit * share * (1.0 + asymmetry * share))
+
+    def gear_torque(self, motions: np.ndarray) -> np.ndarray:
+        """Return the torque of an elastic gear on the shaft in motions (T62), (n,) [N m]."""
+        gear, place = self.gear, self.gear_place
+        if gear is None:
+            raise ValueError('the gear is rigid: motor.gear.stiffness is 0')
+        twist, rate = (self.rotor[place] * motions[:, begin + place]
+                       for begin in (0, self.size // 2))
+        torque, play, side = (gear.stiffness * twist + gear.damping * rate, 0.5 * gear.backlash,
+                              np.sign(twist))
+        if play:
+            torque = side * np.where(np.abs(twist) > play, np.maximum(
+                side * torque - gear.stiffness * play, 0.0), 0.0)
+        return torque
+
+    def _gear_power(self, motions):
+        # Power that the friction of the rotor takes, and a gear more than its modal damping.
+        gear, place, rates = self.gear, self.gear_place, motions[:, self.size // 2:]
+        twist, rate = (self.rotor[place] * each[:, place] for each in (motions, rates))
+        play, speed = 0.5 * gear.backlash, rates @ self.rotor
+        limit, slow, asymmetry = self.manipulator.coulomb[2]
+        share = np.tanh(speed / slow)
+        elastic = gear.stiffness * (twist - np.clip(twist, -play, play))
+        return ((self.gear_torque(motions) - elastic - gear.damping * rate) * rate
+                + (gear.friction * speed + limit * share * (1.0 + asymmetry * share)) * speed)
 
     def dissipation(self, motions: np.ndarray) -> np.ndarray:
         """Return the power that this friction and modal damping take, shape (n,) [W]."""
         rates = motions[:, self.size // 2:]
-        return (np.sum(self.friction(motions) * rates[:, :3], axis=1)
-                + rates[:, 3:]**2 @ (2.0 * self.damping * self.modes.omega))
+        taken = (np.sum(self.friction(motions) * rates[:, :3], axis=1)
+                 + rates[:, 3:]**2 @ (2.0 * self.damping * self.modes.omega))
+        return taken + self._gear_power(motions) if self.gear else taken
 
     def mass_matrix(self, motion: np.ndarray) -> tuple[np.ndarray, np.ndarray]:
         """
@@ -388,6 +442,8 @@ class Formulation(ABC):
         matrix = (np.einsum('kpi,p,lpi->kl', velocity, self.point_mass, velocity)
                   + (turning * self.point_inertia) @ turning.T)
         matrix[range(3), range(3)] += [body.base_mass, body.base_mass, body.shaft_inertia]
+        if self.gear:
+            matrix += self.gear.inertia * np.outer(self.rotor, self.rotor)
         return matrix, np.vstack([velocity[:, -1].T, turning[:, -1]])
 
     def momentum(self, motions: np.ndarray) -> np.ndarray:
@@ -407,6 +463,8 @@ class Formulation(ABC):
             + (position[..., 0] * velocity[..., 1] - position[..., 1] * velocity[..., 0])
             @ self.point_mass
             + turning @ self.point_inertia)
+        if self.gear:
+            angular += self.gear.inertia * (motions[:, self.size // 2:] @ self.rotor)
         return np.column_stack([linear, angular])
 
     def _split(self, motions):

@@ -49,10 +49,11 @@ def add_multiple(factor, vector, out):
 
 @inner
 def coulomb(tables, joint, speed):
-    """Return the Coulomb friction against a speed of the carrier, joint 0, or of the shaft, 1."""
+    """Return the Coulomb friction against a speed of carrier, joint 0, shaft, 1, or rotor, 2."""
     friction = 0.0
     if some(tables.coulomb[joint, 0] != 0.0):
-        friction = tables.coulomb[joint, 0] * tanh(speed / tables.coulomb[joint, 1])
+        share = tanh(speed / tables.coulomb[joint, 1])
+        friction = tables.coulomb[joint, 0] * share * (1.0 + tables.coulomb[joint, 2] * share)
     return friction
 
 
@@ -62,7 +63,8 @@ def coulomb_slope(tables, joint, speed):
     slope = 0.0
     if some(tables.coulomb[joint, 0] != 0.0):
         share = tanh(speed / tables.coulomb[joint, 1])
-        slope = tables.coulomb[joint, 0] / tables.coulomb[joint, 1] * (1.0 - share * share)
+        slope = tables.coulomb[joint, 0] / tables.coulomb[joint, 1] * (1.0 - share * share) * (
+            1.0 + 2.0 * tables.coulomb[joint, 2] * share)
     return slope
 
 

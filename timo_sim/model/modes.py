@@ -19,7 +19,7 @@ import numpy as np
 from timo_sim.compiled.constants import pack
 from timo_sim.compiled.entry import entry_point
 from timo_sim.compiled.functions import Array, Constants, magnitude, square_root, strict
-from timo_sim.model.bodies import Constraints, Manipulator, Quadrature
+from timo_sim.model.bodies import Constraints, Gear, Manipulator, Quadrature
 
 
 class Modes:
@@ -75,6 +75,13 @@ class JoinedModes(Modes):
 
     def _field(self, name, xi):
         return np.hstack([getattr(part, name)(xi) for part in self._parts])
+
+
+class GearMode(Modes):
+    """The rotor turns against the shaft, held by its gear (T60); the arm stays as it is."""
+
+    def __init__(self, gear: Gear) -> None:
+        self.omega = np.array([math.sqrt(gear.stiffness / gear.inertia)])
 
 
 @functools.lru_cache(maxsize=16)

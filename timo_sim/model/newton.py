@@ -285,7 +285,7 @@ class Tables(NamedTuple):
     stiffness: Annotated[np.ndarray, 'modes']              # omega_n^2
     damping: Annotated[np.ndarray, 'modes']                # 2 zeta_n omega_n
     viscous_friction: Annotated[np.ndarray, 2]             # c_c of the carrier, c_s of the shaft
-    coulomb: Annotated[np.ndarray, 2, 2]                   # `Manipulator.coulomb`
+    coulomb: Annotated[np.ndarray, 3, 3]                   # `Manipulator.coulomb`
     axes: Annotated[np.ndarray, int, 'axes']               # axes along which the carrier is free
     held_position: Annotated[np.ndarray, 2]                # of a carrier that is held
     length: float        # r_h + l

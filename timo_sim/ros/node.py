@@ -27,7 +27,7 @@ from timo_sim.scene.parameters import (
 from timo_sim.scene.scene import find_implausible, Scene, scene_from
 from timo_sim.simulation.simulator import CARRIER, Simulator, STEPS_BEHIND
 from timo_sim.simulation.snapshot import Snapshot
-from timo_sim.topics.outputs import outputs, TRANSFORMS
+from timo_sim.topics.outputs import TRANSFORMS
 
 _LONGEST_SLEEP = 0.1  # [s] after which a sleeping node looks at its flags
 
@@ -100,7 +100,7 @@ class SimNode(ParameterNode):
         return (entry for entry in super().subscriptions if not entry.raw)
 
     def _make_outlets(self, scene):
-        outlets = [self._make_outlet(output) for output in outputs(scene.modal_count)
+        outlets = [self._make_outlet(output) for output in scene.outputs
                    if output.name != '/clock' or self._values['publish_clock']]
         try:
             outlets.append(MotionOutlet(self, TRANSFORMS, self.frames, self._values['publish_tf']))

@@ -166,8 +166,9 @@ def linearize(scene: SceneLike, at: np.ndarray | None = None) -> LinearModel:
     are free coordinates, then their rates. Inputs are forces on carrier, tip and arm in world
     axes, torques on shaft and tip, the voltage at a DC motor; without those that have no effect.
     Outputs are carrier and shaft, tip in world axes, deflection and rotation of the tip, its angle
-    as seen from the root, strain at the root, rates of carrier and shaft, and what an IMU at the
-    tip measures: angular velocity, and specific force along (`..._along_...`) and across the tip.
+    as seen from the root, strain at the root, rates of carrier and shaft, the angle of the rotor
+    of an elastic gear, and what an IMU at the tip measures: angular velocity, and specific force
+    along (`..._along_...`) and across the tip.
 
     Parameters
     ----------
@@ -220,7 +221,8 @@ def linearize(scene: SceneLike, at: np.ndarray | None = None) -> LinearModel:
     residual = _residual(formulation, at)
     d = np.stack([_outputs(formulation, at, load + units[name]) - still + residual @ units[name]
                   for name in inputs], axis=-1)
-    return LinearModel(a, b, c, d, _state_names(formulation), tuple(inputs), _NAMES, at, places)
+    return LinearModel(a, b, c, d, _state_names(formulation), tuple(inputs),
+                       _output_names(formulation), at, places)
 
 
 def state_matrix(model: Formulation, at: np.ndarray,
@@ -244,10 +246,15 @@ def _jacobian(model, function, at, columns):
     length = model.manipulator.arm.length
     steps = np.tile(_DIFFERENCE * np.concatenate(
         [[length, length, 1.0], 1.0 / model.section_turn_bound]), 2)
-    # Coulomb friction must be linear within the differences of speeds.
-    joints = model.size // 2 + np.arange(3)
-    speeds = np.array(model.manipulator.coulomb)[[0, 0, 1], 1]
-    steps[joints] = np.minimum(steps[joints], _DIFFERENCE * speeds)
+    # Coulomb friction must be linear within the differences of speeds, and a gear within its play.
+    joints, slow = model.size // 2 + np.arange(3), np.array(model.manipulator.coulomb)[:, 1]
+    steps[joints] = np.minimum(steps[joints], _DIFFERENCE * slow[[0, 0, 1]])
+    if model.gear:
+        rates = slice(model.size // 2 + 2, None)
+        turns = np.where(model.rotor[2:] > 0.0, model.rotor[2:], np.nan)
+        steps[rates] = np.fmin(steps[rates], _DIFFERENCE * slow[2] / turns)
+        play, place = 0.5 * model.gear.backlash or 1.0, model.gear_place
+        steps[place] = min(steps[place], _DIFFERENCE * play / model.rotor[place])
     found = []
     for column in columns:
         shift = np.zeros_like(at)
@@ -257,18 +264,23 @@ def _jacobian(model, function, at, columns):
     return np.stack(found, axis=-1)
 
 
-# Sensors that the motion alone determines, but the encoder's shaft angle.
-_OF_MOTION: dict[str, Any] = {sensor.output: sensor.of_motion for sensor in SENSORS
-                              if sensor.of_motion and sensor.output != 'shaft_rad'}
-_NAMES = ('carrier_x_m', 'carrier_y_m', 'shaft_rad', 'tip_x_m', 'tip_y_m',
-          'tip_axial_m', 'tip_transverse_m', 'tip_rotation_rad', 'tip_angle_rad', 'root_strain',
-          'carrier_x_velocity_m_per_s', 'carrier_y_velocity_m_per_s',
-          'shaft_velocity_rad_per_s', *_OF_MOTION,
-          'gyro_rad_per_s', 'tip_acceleration_along_m_per_s2', 'tip_acceleration_m_per_s2')
+def _of_motion(model):
+    # Sensors that the motion alone determines, but the encoder's shaft angle.
+    return {sensor.output: sensor.of_motion for sensor in SENSORS
+            if sensor.of_motion and sensor.output != 'shaft_rad'
+            and (model.gear or not sensor.of_gear)}
+
+
+def _output_names(model):
+    return ('carrier_x_m', 'carrier_y_m', 'shaft_rad', 'tip_x_m', 'tip_y_m',
+            'tip_axial_m', 'tip_transverse_m', 'tip_rotation_rad', 'tip_angle_rad', 'root_strain',
+            'carrier_x_velocity_m_per_s', 'carrier_y_velocity_m_per_s',
+            'shaft_velocity_rad_per_s', *_of_motion(model),
+            'gyro_rad_per_s', 'tip_acceleration_along_m_per_s2', 'tip_acceleration_m_per_s2')
 
 
 def _outputs(model, motion, load):
-    """Return the values of `_NAMES` in a motion under a load."""
+    """Return the values of `_output_names` in a motion under a load."""
     motions, loads, half = motion[np.newaxis], load[np.newaxis], len(motion) // 2
     accelerations, at_tip = model.accelerations(motions, model.state(motions), loads)
     joints = Joints(model, motions, accelerations, loads, at_tip)
@@ -278,7 +290,7 @@ def _outputs(model, motion, load):
         motion[:3], model.world(motions, tip)[0, 0], [along, across],
         model.section_rotation(q, tip)[0], [np.arctan2(across, along)],
         joints.root_strain, motion[half:half + 3],
-        *(read(model, motions) for read in _OF_MOTION.values()),
+        *(read(model, motions) for read in _of_motion(model).values()),
         motion[half + 2] + model.section_rotation(motions[:, half + 3:], tip)[0],
         joints.tip_acceleration[0]])
 
@@ -290,8 +302,9 @@ def _residual(model, at):
     It is that of the straight arm in axes of the tip, see doc/theory.md, section 2.
     """
     body, modes, tip = model.manipulator, model.modes, model.tip_point
-    found = np.zeros((len(_NAMES), LOADS))
-    if len(modes) == model.axial:  # an arm without modes is rigid on purpose
+    count = len(_output_names(model))
+    found = np.zeros((count, LOADS))
+    if len(modes) == model.axial + bool(model.gear):  # an arm without modes is rigid on purpose
         return found
     rule = Quadrature(body.arm.breaks, 4 * len(modes) + 40)
     section = body.arm.at(rule.nodes)
@@ -304,7 +317,7 @@ def _residual(model, at):
     # Force and torque per load, and the tip's outputs per deflection and rotation.
     angle = at[2] + at[3:len(at) // 2] @ tip.rotation[:, 0]
     across = np.array([-np.sin(angle), np.cos(angle)])
-    loads, shifts = np.zeros((2, LOADS)), np.zeros((len(_NAMES), 2))
+    loads, shifts = np.zeros((2, LOADS)), np.zeros((count, 2))
     loads[0, [TIP_X, TIP_Y]], loads[1, TIP_TORQUE] = across, 1.0
     along, sideways = model.centre_line(at[3:len(at) // 2], tip)[0]
     shifts[3:7, 0] = *across, *rotate(-at[2], *across)

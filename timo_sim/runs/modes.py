@@ -121,14 +121,16 @@ def modes(scene: SceneLike, speed: float | None = None) -> Vibrations:
     if scene.values['initial.equilibrium']:
         load = scene.load_at_start()
     load[ANGLE], load[SPEED] = start[2], _SPEED.check(speed or 0.0)
+    body = scene.manipulator
     if speed is not None:
         constraints = Constraints(tuple(start[:2].tolist()), driven=True)
+        body = replace(body, gear=None)
     if load[SPEED] and (not exact or any(scene.values['gravity'])):
         raise ParameterError(
             'vibrations at a shaft speed need model.formulation = exact, since others lack '
             'centrifugal stiffening, and gravity = [0, 0], since it turns in the axes of the '
             f'arm; got {scene.values["model.formulation"]}, {list(scene.values["gravity"])}')
-    model, finer = (replace(each, constraints=constraints).build() for each in (
+    model, finer = (replace(each, constraints=constraints, manipulator=body).build() for each in (
         refine(scene, 1, 0, 0, same_equations=True),
         refine(scene, 1, MORE_MODES, int(exact), same_equations=True)))
     motion, poles, vectors = _about(model, start, load)

@@ -30,7 +30,7 @@ from timo_sim.simulation.warnings import DivergenceError
 from timo_sim.topics.cdr import pack
 from timo_sim.topics.commands import (
     COMMANDED, COMMANDS, GROUPS, has_tip_force, load_of_commands)
-from timo_sim.topics.outputs import outputs, title, with_angles
+from timo_sim.topics.outputs import title, with_angles
 
 _ROUNDING = 1e-9  # relative error of times in steps
 _BATCH = 500  # most steps of one compiled call
@@ -174,7 +174,7 @@ def segments_of(recording: Recording, scene: Scene, values: Mapping[str, Any], s
     if logged messages are not at whole time steps, or the log is shorter than the duration.
     """
     found = recording.topics
-    known = {output.name: output for output in outputs(scene.modal_count)}
+    known = {output.name: output for output in scene.outputs}
     commands = [(number, found[command.name]) for number, command in enumerate(COMMANDS)
                 if command.name in found]
     motions = {name: series for name, series in found.items() if name in known and len(series.ns)}
@@ -330,7 +330,7 @@ class Replay:
         self.simulator.warm_up()
         self.diverged: str | None = None
         self._segments, self._log = segments, log
-        self._outputs = {output.name: output for output in outputs(scene.modal_count)}
+        self._outputs = {output.name: output for output in scene.outputs}
 
     def run(self, report: Callable[[int], object] = lambda count: None) -> None:
         """Run all segments; `report(count)` is called after each `count` further steps."""
@@ -394,7 +394,7 @@ class Replay:
 def _compare(segments, scene, topics):
     """Return counts of compared and differing numbers; name, largest, rms, time by column."""
     count, differing, result = 0, 0, []
-    for output in outputs(scene.modal_count):
+    for output in scene.outputs:
         topic = output.name
         parts = [(segment, slice(segment.done[topic])) for segment in segments
                  if topic in segment.logged and topic in segment.replayed]
@@ -422,7 +422,7 @@ def _compare(segments, scene, topics):
 def _count_logged(segments, scene, recording):
     """Return how many numbers of the node's outputs the log has until the end of the replay."""
     series = {output.name: (output, recording.topics[output.name])
-              for output in outputs(scene.modal_count) if output.name in recording.topics}
+              for output in scene.outputs if output.name in recording.topics}
     if not recording.facts:
         return sum(found.values.size for _, found in series.values())
     end = round(segments[-1].last * scene.step / recording.scene.step, 6)

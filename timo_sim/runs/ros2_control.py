@@ -21,7 +21,7 @@ from timo_sim.scene.parameters import frame_names
 from timo_sim.scene.scene import Scene
 from timo_sim.topics.cdr import form, Number
 from timo_sim.topics.commands import JOINTS
-from timo_sim.topics.outputs import gravity_along_z, in_frames, outputs
+from timo_sim.topics.outputs import gravity_along_z, in_frames
 
 _C = """\
 #include <stdint.h>
@@ -141,7 +141,7 @@ def _scene_in_c(scene, values, folder):
                        ['voltage'], True))
     logged += [(each.name, each.type_name, in_frames(each.template, frame_names(values)),
                 shown[each.name], False)
-               for each in outputs(scene.modal_count) if each.name in shown]
+               for each in scene.outputs if each.name in shown]
     data, fields, messages = b'', [], []
     for name, type_name, template, titles, commanded in logged:
         message, layout, places = form(type_name, template)

@@ -25,7 +25,7 @@ from timo_sim.simulation.loads import pieces
 from timo_sim.simulation.simulator import Simulator
 from timo_sim.simulation.snapshot import applied, joints_of_run, Snapshot
 from timo_sim.simulation.warnings import DivergenceError
-from timo_sim.topics.outputs import outputs, with_angles
+from timo_sim.topics.outputs import with_angles
 
 if TYPE_CHECKING:
     from matplotlib.figure import Figure
@@ -264,7 +264,7 @@ class Run(MotionFields, PointsOfArm):
 
     def _outputs(self):
         # These topics follow from the motion alone; sensors need the simulator.
-        return [output for output in outputs(self.scene.modal_count)
+        return [output for output in self.scene.outputs
                 if output.columns and not output.delay]
 
     def _snapshots(self):

@@ -169,6 +169,12 @@ def _limit(name, unit, meaning):
                      finite=False, runtime=True)
 
 
+def _asymmetry(body, name):
+    return Parameter(f'{body}.coulomb_asymmetry', 0.0, '', f'part a by which this friction on the '
+                     f'{name} is larger in forward and smaller in backward motion: 1 + a and '
+                     '1 - a times as large', low=-1.0, high=1.0)
+
+
 def _load(channel, unit, meaning):
     rows = (
         ('harmonic.amplitude', unit, f'{meaning}: amplitudes of harmonic terms, '
@@ -281,6 +287,21 @@ _ALL = [
     _not_negative('motor.coulomb_friction', 0.0, 'N m', 'largest Coulomb friction torque on the '
                   'shaft'),
     _not_negative('motor.coulomb_speed', 0.0, 'rad/s', 'speed over which it builds up'),
+    _asymmetry('motor', 'shaft'),
+    _not_negative('motor.gear.stiffness', 0.0, 'N m/rad', 'torsional stiffness of the gear, at '
+                  'the shaft; the torque then acts on the rotor; 0: the gear is rigid'),
+    _not_negative('motor.gear.damping', 0.0, 'N m s/rad', 'damping beside this stiffness'),
+    _not_negative('motor.gear.backlash', 0.0, 'rad', 'play of the gear at the shaft, from stop to '
+                  'stop'),
+    _not_negative('motor.rotor.inertia', 0.0, 'kg m2', 'moment of inertia of the rotor of an '
+                  'elastic gear, about its own axis'),
+    _not_negative('motor.rotor.viscous_friction', 0.0, 'N m s/rad', 'viscous friction torque on '
+                  'this rotor per its own speed'),
+    _not_negative('motor.rotor.coulomb_friction', 0.0, 'N m', 'largest Coulomb friction torque on '
+                  'this rotor'),
+    _not_negative('motor.rotor.coulomb_speed', 0.0, 'rad/s', 'speed of the rotor over which it '
+                  'builds up'),
+    _asymmetry('motor.rotor', 'rotor'),
     _limit('motor.torque_limit', 'N m', 'largest torque that commands can apply'),
     _limit('motor.torque_rate_limit', 'N m/s', 'largest rate at which that torque changes'),
     _not_negative('motor.dc.resistance', 0.0, 'ohm', 'resistance of a DC motor that is commanded '
@@ -288,7 +309,8 @@ _ALL = [
     _not_negative('motor.dc.torque_constant', 0.0, 'N m/A', 'torque of the rotor per current, and '
                   'back-EMF per speed [V s/rad]'),
     _positive('motor.dc.gear_ratio', 1.0, '', 'turns of the rotor per turn of the shaft; the '
-              'inertia of the rotor, times its square, is part of motor.shaft_inertia'),
+              'inertia of the rotor, times its square, is part of motor.shaft_inertia unless the '
+              'gear is elastic'),
     _limit('motor.dc.voltage_limit', 'V', 'largest voltage that commands can apply'),
     Parameter('motor.shaft', 'free', '', 'free: turned by the torque; locked at initial.shaft; '
               'driven along motor.drive', choices=('free', 'locked', 'driven')),

@@ -18,7 +18,7 @@ from typing import Any
 import numpy as np
 
 from timo_sim.model import formulation_class
-from timo_sim.model.bodies import Beam, Constraints, Manipulator, Section
+from timo_sim.model.bodies import Beam, Constraints, Gear, Manipulator, Section
 from timo_sim.model.formulation import Formulation
 from timo_sim.model.layout import AFTER, ANGLE, INPUTS, SPEED, START
 from timo_sim.model.statics import equilibrium
@@ -28,6 +28,7 @@ from timo_sim.scene.loads import (
 from timo_sim.scene.parameters import (
     changed, check, DEFAULTS, DELAYS, did_you_mean, Parameter, ParameterError, PARAMETERS, SCENE,
     short, today, warn, whole_ratio)
+from timo_sim.topics.outputs import Output, outputs
 
 # Ranges of real solids; `load_scene` warns of values outside.
 _PLAUSIBLE = {'young_modulus': (1e5, 2e12, 'Pa'), 'density': (10.0, 25000.0, 'kg/m3')}
@@ -79,8 +80,13 @@ class Scene:
 
     @property
     def modal_count(self) -> int:
-        """Number of modal coordinates: of modes in bending, then of axial ones."""
+        """Number of modal coordinates: in bending, of an elastic gear, then of axial modes."""
         return modal_count(self.values)
+
+    @property
+    def outputs(self) -> list[Output]:
+        """The topics that carry its motion."""
+        return outputs(self.modal_count, self.manipulator.gear is not None)
 
     def build(self, basis: Manipulator | None = None,
               tip: tuple[float, float] | None = None) -> Formulation:
@@ -94,7 +100,7 @@ class Scene:
             self.manipulator, end_effector_mass=tip[0], end_effector_inertia=tip[1])
         if body == self.manipulator == (basis or body):
             return self._own_model
-        return self._model(self._own_model.damping, body, basis or self.manipulator)
+        return self._model(self._damping, body, basis or self.manipulator)
 
     def _model(self, damping, body, basis=None):
         values = self.values
@@ -106,9 +112,14 @@ class Scene:
 
     @cached_property
     def _own_model(self):
+        return self._model(self._damping, self.manipulator)
+
+    @cached_property
+    def _damping(self):
+        # Ratios of the modes of the clamped arm.
         values, damping = self.values, np.array(self.values['arm.damping_ratio'] or 0.0)
         if values['arm.damping_of'] == 'clamped' or not damping.any():
-            return self._model(damping, self.manipulator)
+            return damping
         from timo_sim.model.formulation import clamped_ratios
         ratios = clamped_ratios(self._model(0.0, self.manipulator), damping)
         if ratios.min() < 0.0:
@@ -116,7 +127,7 @@ class Scene:
                 'arm.damping_of = system must be possible with damping of the clamped modes, but '
                 f'mode {np.argmin(ratios) + 1} would need a ratio of {ratios.min():.2g} for '
                 f'arm.damping_ratio = {short(list(values["arm.damping_ratio"]))}')
-        return self._model(ratios, self.manipulator)
+        return ratios
 
     @cached_property
     def payloads(self) -> tuple:
@@ -125,9 +136,15 @@ class Scene:
 
     @cached_property
     def friction(self) -> np.ndarray:
-        """Largest dry friction of carrier x, y [N] and shaft [N m], 0 if not free, (3,)."""
+        """
+        Largest dry friction of carrier x, y [N] and shaft [N m], 0 if not free, (3,).
+
+        With an elastic gear the last is that of the rotor.
+        """
+        gear, motor = self.manipulator.gear, 'motor.rotor' if self.manipulator.gear else 'motor'
         axis, shaft = (0.0 if self.values[f'{body}.coulomb_speed'] else
-                       self.values[f'{body}.coulomb_friction'] for body in ('carrier', 'motor'))
+                       self.values[f'{body}.coulomb_friction'] for body in ('carrier', motor))
+        shaft *= self.values['motor.dc.gear_ratio'] if gear else 1.0
         held = [position is not None for position in self.constraints.carrier]
         return np.where([*held, self.constraints.driven], 0.0, [axis, axis, shaft])
 
@@ -263,6 +280,7 @@ def scene_from(values: Mapping[str, Any]) -> Scene:
         name: tuple(value) if isinstance(value := values[name], list) else value
         for name in _SCENE_NAMES})
     check_counts(values)
+    check_gear(values)
     check_initial(values)
     check_push(values)
     payloads_of(values)
@@ -319,15 +337,22 @@ def _shared_model(name, body, modes, damping, constraints, static, axial, gravit
 
 def manipulator_of(values: Mapping[str, Any]) -> Manipulator:
     """Return the Manipulator that the values describe."""
+    elastic, turns = values['motor.gear.stiffness'], values['motor.dc.gear_ratio']
     return Manipulator(
         _arm(values), values['carrier.mass'], values['motor.mass'], values['motor.shaft_inertia'],
         values['end_effector.mass'], values['end_effector.inertia'],
         values['carrier.viscous_friction'],
-        values['motor.viscous_friction'] + motor_constants(values)[1],
+        values['motor.viscous_friction'] + (0.0 if elastic else motor_constants(values)[1]),
         # Coulomb friction without a speed is dry: joints stick, and the bodies do not know it.
-        tuple((values[f'{body}.coulomb_friction'], speed) if speed else (0.0, 1.0)
-              for body in ('carrier', 'motor') for speed in [values[f'{body}.coulomb_speed']]),
-        values['hub.radius'])
+        tuple((ratio * values[f'{body}.coulomb_friction'], speed / ratio,
+               values.get(f'{body}.coulomb_asymmetry', 0.0)) if speed else (0.0, 1.0, 0.0)
+              for body, ratio in (('carrier', 1.0), ('motor', 1.0), ('motor.rotor', turns))
+              for speed in [values[f'{body}.coulomb_speed']]),
+        values['hub.radius'], Gear(
+            elastic, values['motor.gear.damping'], values['motor.gear.backlash'],
+            turns**2 * values['motor.rotor.inertia'],
+            turns**2 * values['motor.rotor.viscous_friction'] + motor_constants(values)[1])
+        if elastic else None)
 
 
 @lru_cache(maxsize=4 * len(_TERM_NAMES))
@@ -501,7 +526,34 @@ def check_initial(values: Mapping[str, Any]) -> None:
 
 def modal_count(values: Mapping[str, Any]) -> int:
     """Return the number of modal coordinates, axial ones included."""
-    return values['model.modes'] + values['model.axial_modes']
+    return (values['model.modes'] + values['model.axial_modes']
+            + (values['motor.gear.stiffness'] > 0.0))
+
+
+def check_gear(values: Mapping[str, Any]) -> None:
+    """Raise ParameterError if gear, rotor and friction of the motor do not fit together."""
+    elastic = values['motor.gear.stiffness']
+    for name, value in values.items():
+        if name.startswith(('motor.gear.', 'motor.rotor.')) and value and not elastic:
+            raise ParameterError(f'{name} needs motor.gear.stiffness > 0, got {elastic:g}')
+    for body in ('motor', 'motor.rotor'):
+        speed = f'{body}.coulomb_speed'
+        for name in (f'{body}.coulomb_asymmetry', f'{body}.coulomb_friction'):
+            dry = name == 'motor.coulomb_friction' and elastic
+            if values[name] and not values[speed] and (dry or 'asymmetry' in name):
+                raise ParameterError(
+                    f'{speed} must be > 0 rad/s with {name} = {values[name]:g}'
+                    + bool(dry) * ' and an elastic gear, whose rotor alone can stick')
+    if not elastic:
+        return
+    for name, good, rule in (
+            ('motor.rotor.inertia', values['motor.rotor.inertia'] > 0.0, '> 0 kg m2'),
+            ('motor.shaft', values['motor.shaft'] == 'free', 'free'),
+            ('model.formulation', values['model.formulation'] == 'exact', 'exact'),
+            ('arm.damping_of', values['arm.damping_of'] == 'clamped', 'clamped')):
+        if not good:
+            raise ParameterError(f'{name} must be {rule} with motor.gear.stiffness = {elastic:g}, '
+                                 f'got {values[name]}')
 
 
 def check_push(values: Mapping[str, Any]) -> None:
@@ -524,19 +576,21 @@ def check_push(values: Mapping[str, Any]) -> None:
 def check_counts(values: Mapping[str, Any]) -> None:
     """Raise ParameterError if axial modes, or lengths of lists by mode, do not fit the model."""
     modes, axial = modal_count(values), values['model.axial_modes']
+    elastic = values['motor.gear.stiffness'] > 0.0
     if axial and values['model.formulation'] != 'exact':
         raise ParameterError('model.axial_modes must be 0 with model.formulation = '
                              f'{values["model.formulation"]}, got {axial}')
     if values['model.accuracy'] > 0.0:
         modes = 0  # chosen later, so that lists with an element for each mode cannot be given
-    for name, allowed in (('arm.damping_ratio', (0, 1, modes)),
+    for name, allowed in (('arm.damping_ratio', (0, 1, max(modes - elastic, 0))),
                           ('initial.modal_coordinates', (0, modes)),
                           ('initial.modal_rates', (0, modes))):
         if len(values[name]) not in allowed:
             expected = ' or '.join(str(count) for count in sorted(set(allowed)))
             cause = 'a stated model.accuracy' if values['model.accuracy'] else (
                 f'model.modes = {values["model.modes"]}' + (
-                    f' and model.axial_modes = {axial}' if axial else ''))
+                    f' and model.axial_modes = {axial}' if axial else '') + (
+                    ' and an elastic gear' if elastic else ''))
             raise ParameterError(f'{name} must have {expected} elements for {cause}, got '
                                  f'{len(values[name])}')
 
@@ -661,10 +715,10 @@ def initial_scale(name: str, scene: Scene) -> float:
     """Return what of the initial state moves the tip by a tenth of the arm, or turns it by 0.1."""
     base, n = _split_index(name)
     model, length = scene.build(), scene.manipulator.arm.length
-    if base == 'initial.modal_coordinates':
-        return 0.1 * length / model.tip_travel[3 + n]
-    if base == 'initial.modal_rates':
-        return 0.1 * length / model.tip_travel[3 + n] * model.modes.omega[n]
+    if base.startswith('initial.modal'):  # a gear turns the shaft, and no section of the arm
+        travel = model.tip_travel[3 + n] or length * model.section_turn_bound[n]
+        return 0.1 * length / travel * (
+            model.modes.omega[n] if base == 'initial.modal_rates' else 1.0)
     return 0.1 if 'shaft' in name else 0.1 * length
 
 

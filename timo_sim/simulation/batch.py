@@ -340,7 +340,8 @@ def lane_size(scene: Scene) -> dict[str, Any]:
     return {**{name: values[name] for name in (
         'model.formulation', 'model.axial_modes', 'model.modes', 'integrator.step',
         'carrier.held', 'motor.shaft')},
-        **{f'{name} > 0': values[name] > 0.0 for name in ('push.position', 'hub.radius')},
+        **{f'{name} > 0': values[name] > 0.0 for name in (
+            'push.position', 'hub.radius', 'motor.gear.stiffness')},
         'the number of nodes': len(scene.build().quadrature.nodes)}
 
 

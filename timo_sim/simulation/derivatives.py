@@ -46,6 +46,7 @@ def why_not_differentiable(scene: Scene) -> str:
     for name, good, wanted in (
             ('model.formulation', values['model.formulation'] == 'exact', 'exact'),
             ('model.axial_modes', not values['model.axial_modes'], '0'),
+            ('motor.gear.stiffness', not values['motor.gear.stiffness'], '0'),
             ('carrier.held', values['carrier.held'] not in ('x', 'y'), 'none or both')):
         if not good:
             return f'{name} must be {wanted} for derivatives of steps, got {values[name]}'

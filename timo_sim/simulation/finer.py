@@ -58,7 +58,7 @@ def refine(scene: Scene, parts: int, modes: int | None = None, axial: int = MORE
             lists[name] = [*across, *modes * [0.0], *along, *axial * [0.0]]
     # Further modes have the damping of the last one, in terms of those of the clamped arm.
     damping = scene.build().damping.tolist()
-    across, along = damping[:bending], damping[bending:]
+    across, along = damping[:bending], damping[len(damping) - stretching:]
     further = (along or across)[-1:]
     if axial and not stretching and _axial_phase(scene, scene.step / parts) > _AXIAL_PHASE:
         further = [1.0]
@@ -88,12 +88,13 @@ def can_refine(scene: Scene) -> bool:
 
 def choose_parts(scene: Scene) -> tuple[int, ...]:
     """Return the parts of a step that may do for a finer run, a tuple of int, fewest first."""
-    # Events of dry friction are found to the first order of the step only; where a table or drive
-    # bends inside of a step, errors of steps fall more slowly, too.
+    # Events of dry friction and contacts of a gear are found to lower orders of the step; where a
+    # table or drive bends inside of a step, errors of steps fall more slowly, too.
     inside = any(abs(time / scene.step - round(time / scene.step)) > 1e-6
                  for name, times in scene.values.items() if name.endswith('.time')
                  for time in times)
-    tried = PARTS[1:] if inside or scene.friction.any() else PARTS
+    events = scene.friction.any() or scene.values['motor.gear.backlash']
+    tried = PARTS[1:] if inside or events else PARTS
     least = next((parts for parts in tried if _resolves(scene, scene.step / parts)), PARTS[-1])
     return tuple(parts for parts in PARTS if parts >= least)
 

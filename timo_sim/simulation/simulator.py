@@ -260,8 +260,9 @@ class Simulator(PointsOfArm):
         Advance as `step` does, and return the derivatives of the motion at the end.
 
         They are exact, through the stages of each step, for the `exact` formulation without axial
-        modes and without dry friction that sticks, with both axes of the carrier free or held.
-        They are by what acts of commands: limits, also of rates, are not differentiated.
+        modes and without dry friction that sticks, with both axes of the carrier free or held and
+        a rigid gear. They are by what acts of commands: limits, also of rates, are not
+        differentiated.
 
         Parameters
         ----------

@@ -61,7 +61,9 @@ class Joints:
     def root_moment(self) -> np.ndarray:
         """Moment in the arm at its root by the balance of the shaft (T45), (T51), (n,) [N m]."""
         model = self._model
-        if model.constrained[2]:
+        if model.gear:  # it turns the shaft by what the rotor leaves of all torques
+            torque = self._needed[:, 2] - model.gear.inertia * (self._accelerations @ model.rotor)
+        elif model.constrained[2]:
             torque = self._needed[:, 2]
         else:
             torque = self._applied[:, 2] - model.friction(self._motions)[:, 2]
@@ -97,8 +99,9 @@ def joints_of_run(scene: Scene, model: Formulation, motions: np.ndarray,
     limit, states, acting = scene.friction, model.state(motions), loads.copy()
     if limit.any():
         acting[:, _FRICTION] += _friction(
-            lambda loads, rows: model.accelerations(motions[rows], states[rows], loads)[0][:, :3],
-            loads, motions[:, motions.shape[1] // 2:][:, :3], limit)
+            lambda loads, rows: model.accelerations(
+                motions[rows], states[rows], loads)[0] @ model.driven_turns,
+            loads, motions[:, motions.shape[1] // 2:] @ model.driven_turns, limit)
     accelerations, tip = model.accelerations(motions, states, acting)
     return Joints(model, motions, accelerations, acting, tip)
 

@@ -5,6 +5,8 @@
 """
 Steps with Coulomb friction of the joints that stick: carrier along world x and y, and shaft.
 
+With an elastic gear the third joint is the rotor: the torque on it is the one that loads have.
+
 In each step the friction of a joint is a straight line in time, with a mean R and a slope R' over
 the step, which is added to the load. Trial steps find it, see doc/theory.md (T40) to (T42): one if
 all joints slide through the whole step, a few more if a joint comes to rest, is held or breaks
@@ -38,8 +40,11 @@ _SWEEPS = 200   # most sweeps over the joints in `_hold`
 class Joints(NamedTuple):
     """Constants of the compiled function."""
 
-    limit: Annotated[np.ndarray, 3]  # of carrier x, y [N] and shaft [N m]; 0: no friction
+    limit: Annotated[np.ndarray, 3]  # of carrier x, y [N] and rotor [N m]; 0: no friction
     step: float  # [s]
+    # Turn of the rotor per coordinate of an elastic gear, and the coordinate's place in a motion.
+    gear: Annotated[np.ndarray, 'gears']
+    place: int
 
 
 class _Room(NamedTuple):
@@ -59,7 +64,8 @@ class FrictionSteps(Steps):
 
     def __init__(self, model: Formulation, step: float, limit: np.ndarray) -> None:
         super().__init__(model, step)
-        self.joints = pack(Joints(limit, step))
+        place = model.gear_place
+        self.joints = pack(Joints(limit, step, model.rotor[[place] * bool(model.gear)], place))
         self.memory = np.zeros(JOINTS + 1)
         self._advance: dict[int, Call] = {}
 
@@ -115,6 +121,15 @@ class StepModel(NamedTuple):
     travel_per_mean: Annotated[np.ndarray, 3, 3]  # B_x
     speed_per_slope: Annotated[np.ndarray, 3, 3]  # C, the same speed per R'
     bend_per_slope: Annotated[np.ndarray, 3, 3]   # B_s
+
+
+@inner
+def _turn_rotor(joints, motion):
+    """Add the twist of an elastic gear, and its rate, to those of the shaft in a motion."""
+    half = len(motion) // 2
+    for n in range(len(joints.gear)):
+        motion[2] += joints.gear[n] * motion[joints.place]
+        motion[half + 2] += joints.gear[n] * motion[half + joints.place]
 
 
 @inner
@@ -333,12 +348,15 @@ def advance(tables, propagator, joints, memory, state, load, loads, count, sampl
     k = 0
     while True:
         observe(tables, now, load, motion)
+        sampled = sample_every != 0 and (since + k) % sample_every == 0
+        if sampled:
+            copy(motion, samples[(since + k) // sample_every])
+        _turn_rotor(joints, motion)
         if k > 0:
             _add_heat(joints, motion, trial, memory)
         for i in range(JOINTS):
             trial.start[i], trial.speed[i] = motion[i], motion[len(motion) // 2 + i]
-        if sample_every != 0 and (since + k) % sample_every == 0:
-            copy(motion, samples[(since + k) // sample_every])
+        if sampled:
             heat[(since + k) // sample_every] = memory[_HEAT]
         if k == count or k > 0 and not linear_part_is_valid(tables, now, load):
             break
@@ -361,6 +379,7 @@ def advance(tables, propagator, joints, memory, state, load, loads, count, sampl
             _add_friction(loads[k], trial, pushed)
             one_step(tables, propagator, pushed[0], pushed[1], pushed[2], work)
             observe(tables, following, pushed[2], motion)
+            _turn_rotor(joints, motion)
             sliding = _note_trial(joints, model, trial, number, motion)
             if number == 0 and sliding:
                 break

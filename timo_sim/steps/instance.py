@@ -85,7 +85,10 @@ class Plant(NamedTuple):
     shaft_inertia: float  # [kg m2]
     base_mass: float      # of carrier and motor [kg]
     hub_radius: float     # [m]
-    shaft_friction: Annotated[np.ndarray, 3]  # viscous; Coulomb and the speed of its build-up
+    # Viscous; Coulomb, the speed of its build-up and its asymmetry.
+    shaft_friction: Annotated[np.ndarray, 4]
+    # What accelerations of all coordinates need of torque at the rotor of an elastic gear.
+    rotor: Annotated[np.ndarray, 'gears', 'accelerations']
     # Strain of the outer fibre at the root per moment there, modal coordinate and modal rate.
     strain_of_moment: float
     strain_of_modes: Annotated[np.ndarray, 'modes']
@@ -263,13 +266,17 @@ def set_forces(tables, plant, instance):
     out[16] = load[FORCE_X] + cosine * load[FORCE_I] - sine * load[FORCE_II]
     out[17] = load[FORCE_Y] + sine * load[FORCE_I] + cosine * load[FORCE_II]
     out[18] = load[TORQUE]
-    if plant.constrained[2] != 0:
+    for n in range(len(plant.rotor)):
+        for i in range(half):
+            root += plant.rotor[n, i] * accelerations[i]
+    if plant.constrained[2] != 0 or len(plant.rotor) != 0:
         root -= needed[2]
     else:
         speed = motion[half + 2]
         root += plant.shaft_friction[0] * speed - instance.acting[TORQUE]
         if plant.shaft_friction[1] != 0.0:
-            root += plant.shaft_friction[1] * tanh(speed / plant.shaft_friction[2])
+            share = tanh(speed / plant.shaft_friction[2])
+            root += plant.shaft_friction[1] * share * (1.0 + plant.shaft_friction[3] * share)
     for joint in range(3):
         if plant.constrained[joint] != 0:
             out[16 + joint] = needed[joint] - out[16 + joint]

@@ -44,6 +44,7 @@ class Sensor(NamedTuple):
     of_motion: Callable | None = None
     quantity: str = ''
     joint: str = ''
+    of_gear: bool = False  # whether only scenes with an elastic gear have its topic
 
     def quantities(self, snapshot: Any) -> tuple[float, ...]:
         """Return what it measures in a Snapshot, without noise: a number for each axis."""
@@ -77,6 +78,10 @@ SENSORS = (
     Sensor('encoder', 'rad', 'the shaft angle',
            '~/encoder', ('shaft_rad',),
            of_motion=lambda model, motions: motions[:, 2], quantity='shaft', joint='shaft'),
+    Sensor('rotor', 'rad', 'the angle of the rotor over the gear ratio',
+           '~/rotor', ('rotor_rad',),
+           of_motion=lambda model, motions: motions[:, :len(model.rotor)] @ model.rotor,
+           of_gear=True),
 )
 
 
@@ -212,10 +217,10 @@ def _imu(x, y, turning):
         'angular_velocity_covariance': _diagonal(0.0, 0.0, Number())}
 
 
-def _sensor_outputs():
-    """Yield the Outputs of all sensors, one for each topic."""
+def _sensor_outputs(gear):
+    """Yield the Outputs of sensors, one for each topic."""
     topics: dict[str, list[Sensor]] = {}
-    for sensor in SENSORS:
+    for sensor in [each for each in SENSORS if gear or not each.of_gear]:
         topics.setdefault(sensor.topic, []).append(sensor)
     for topic, sensors in topics.items():
         columns = [column for sensor in sensors for column in sensor.columns]
@@ -232,8 +237,12 @@ def _sensor_outputs():
                 'name': [joint], 'position': _numbers(*columns)}, delay)
 
 
-def outputs(modes: int) -> list[Output]:
-    """Return the list of Outputs, the topics that carry the motion, for a number of modes."""
+def outputs(modes: int, gear: bool = True) -> list[Output]:
+    """
+    Return the list of Outputs, the topics that carry the motion, for a number of modes.
+
+    `gear` says whether those of an elastic gear are among them; see `Scene.outputs`.
+    """
     names = [f'mode_{n + 1}' for n in range(modes)]
     modal = [Output('~/modal_state', 'sensor_msgs/msg/JointState',
                     lambda snapshot: snapshot.modal_state, {
@@ -257,7 +266,7 @@ def outputs(modes: int) -> list[Output]:
         Output('~/carrier_pose', 'geometry_msgs/msg/PoseStamped',
                lambda snapshot: (*snapshot.joint_positions[:2], 0.0, 1.0), _POSE),
         Output('/clock', 'rosgraph_msgs/msg/Clock', lambda snapshot: (), {}),
-        *_sensor_outputs(),
+        *_sensor_outputs(gear),
     ]
 
 
