@@ -85,6 +85,12 @@ class Joints:
         turned = motion.shaft + model.section_rotation(motion.q, model.tip_point)[:, 0]
         return np.column_stack(rotate(-turned, *(self._tip - model.gravity).T))
 
+    @property
+    def tip_turning(self) -> np.ndarray:
+        """Angular velocity of the end effector, shape (n,) [rad/s]."""
+        motion = Motion(self._motions)
+        return motion.shaft_velocity + motion.qdot @ self._model.points.rotation[:, -1]
+
 
 def joints_of_run(scene: Scene, model: Formulation, motions: np.ndarray,
                   loads: np.ndarray) -> Joints:
@@ -230,7 +236,8 @@ class Snapshot:
         return found[0], tip[0]
 
     @cached_property
-    def _joints(self):
+    def joints(self) -> Joints:
+        """Forces, moment and strain at the root, and what an IMU shows: Joints of one motion."""
         found, tip = self.accelerations
         return Joints(self.model, self.motion[np.newaxis], found[np.newaxis],
                       self._acts[1][np.newaxis], tip[np.newaxis])
@@ -248,7 +255,7 @@ class Snapshot:
         constrained = self.model.constrained
         if self._acts is None or not constrained.any():
             return effort
-        return tuple(np.where(constrained, self._joints.reactions[0], effort).tolist())
+        return tuple(np.where(constrained, self.joints.reactions[0], effort).tolist())
 
     @cached_property
     def tip(self) -> list[float]:
@@ -266,18 +273,17 @@ class Snapshot:
     @property
     def root_strain(self) -> float:
         """Strain of the outer fibre at the root."""
-        return float(self._joints.root_strain[0])
+        return float(self.joints.root_strain[0])
 
     @property
     def tip_turning(self) -> float:
         """Angular velocity of the end effector [rad/s]."""
-        rotation = self.model.points.rotation[:, -1]
-        return self._values[self._half + 2] + float(rotation @ self.motion[self._half + 3:])
+        return float(self.joints.tip_turning[0])
 
     @property
     def tip_acceleration(self) -> tuple[float, float]:
         """Specific force at the tip, acceleration less gravity, in its axes [m/s2]."""
-        x, y = self._joints.tip_acceleration[0].tolist()
+        x, y = self.joints.tip_acceleration[0].tolist()
         return x, y
 
     def sensor(self, name: str) -> tuple[float, ...]:

@@ -28,10 +28,10 @@ class Sensor(NamedTuple):
     `.resolution`, `Simulator.sensors.NAME`, its topic with rate and delay, and columns in logs.
     Its messages are a `sensor_msgs/msg/JointState` or, on the topic `IMU`, `sensor_msgs/msg/Imu`.
 
-    `read` takes a Snapshot and returns what it measures, a number for each of `columns`. Where the
-    motion alone determines it, a sensor of one axis has `of_motion` in its place, which takes a
-    Formulation and motions, (n, 2 (3 + N)), and returns (n,); it is also a quantity of fits and an
-    output of linear models. `quantity` is the one of fits that its last axis shows, by default its
+    `read` takes the Joints of n motions and returns what it measures in them, (n,), or (n, axes)
+    with a number for each of `columns`. Where the motion alone determines it, a sensor of one axis
+    has `of_motion` in its place, which takes a Formulation and motions, (n, 2 (3 + N)), and
+    returns (n,); it is also a quantity of fits and an output of linear models. `quantity` is the one of fits that its last axis shows, by default its
     own name with `of_motion`; `joint` is its name in a JointState, by default its own.
     """
 
@@ -49,7 +49,7 @@ class Sensor(NamedTuple):
         """Return what it measures in a Snapshot, without noise: a number for each axis."""
         if self.of_motion:
             return (float(self.of_motion(snapshot.model, snapshot.motion[np.newaxis])[0]),)
-        return tuple(self.read(snapshot)) if self.read else ()
+        return tuple(np.ravel(self.read(snapshot.joints)).tolist()) if self.read else ()
 
     @property
     def measured(self) -> str:
@@ -67,13 +67,13 @@ IMU = '~/tip_imu/data_raw'
 SENSORS = (
     Sensor('root_strain', '', 'the strain of the outer fibre at the root',
            '~/root_strain', ('outer_fibre',),
-           lambda snapshot: (snapshot.root_strain,), quantity='root_strain'),
+           lambda joints: joints.root_strain, quantity='root_strain'),
     Sensor('tip_acceleration', 'm/s2', 'either axis of the specific force '
            '(acceleration less gravity) of the tip',
            IMU, ('acceleration_x_m_per_s2', 'acceleration_y_m_per_s2'),
-           lambda snapshot: snapshot.tip_acceleration, quantity='tip_acceleration'),
+           lambda joints: joints.tip_acceleration, quantity='tip_acceleration'),
     Sensor('gyro', 'rad/s', 'the angular velocity of the tip',
-           IMU, ('turning_rad_per_s',), lambda snapshot: (snapshot.tip_turning,)),
+           IMU, ('turning_rad_per_s',), lambda joints: joints.tip_turning),
     Sensor('encoder', 'rad', 'the shaft angle',
            '~/encoder', ('shaft_rad',),
            of_motion=lambda model, motions: motions[:, 2], quantity='shaft', joint='shaft'),
