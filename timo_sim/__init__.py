@@ -9,6 +9,7 @@ from typing import Any, TYPE_CHECKING
 from timo_sim.version import __version__
 
 if TYPE_CHECKING:
+    from timo_sim.control.observer import observer
     from timo_sim.export.c import export_c
     from timo_sim.export.fmu import export_fmu
     from timo_sim.fitting.record import read_record, Record
@@ -47,6 +48,7 @@ _MODULES = {
     'linearize': 'runs.linear',
     'load_scene': 'scene.scene',
     'modes': 'runs.modes',
+    'observer': 'control.observer',
     'open_log': 'runs.replay',
     'project_on_modes': 'scene.scene',
     'read_record': 'fitting.record',
@@ -58,8 +60,8 @@ _MODULES = {
 __all__ = [
     'Batch', 'DivergenceError', 'Fit', 'LinearModel', 'ModelWarning', 'ParameterError', 'Record',
     'Run', 'Scene', 'Sensitivities', 'Simulator', '__version__', 'choose_resolution', 'export_c',
-    'export_fmu', 'fit', 'linearize', 'load_scene', 'modes', 'open_log', 'project_on_modes',
-    'read_record', 'sensitivities', 'simulate', 'simulate_many']
+    'export_fmu', 'fit', 'linearize', 'load_scene', 'modes', 'observer', 'open_log',
+    'project_on_modes', 'read_record', 'sensitivities', 'simulate', 'simulate_many']
 
 
 def __getattr__(name: str) -> Any:

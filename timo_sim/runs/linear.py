@@ -220,7 +220,7 @@ def linearize(scene: SceneLike, at: np.ndarray | None = None) -> LinearModel:
     residual = _residual(formulation, at)
     d = np.stack([_outputs(formulation, at, load + units[name]) - still + residual @ units[name]
                   for name in inputs], axis=-1)
-    return LinearModel(a, b, c, d, _state_names(formulation), tuple(inputs), _NAMES, at, places)
+    return LinearModel(a, b, c, d, state_names(formulation), tuple(inputs), _NAMES, at, places)
 
 
 def state_matrix(model: Formulation, at: np.ndarray,
@@ -231,16 +231,21 @@ def state_matrix(model: Formulation, at: np.ndarray,
     `x` are the free coordinates and their rates. Also returns the derivatives of the state by
     them, and their places in a motion; shapes (m, m), (m, m), (m,).
     """
-    free = np.array([*model.axes, *range(2 + model.driven, model.size // 2)], dtype=int)
-    places = np.concatenate([free, model.size // 2 + free])
+    places = state_places(model)
     to_state = _jacobian(model, model.state, at, places)
     rest = _jacobian(model, lambda motion: model.rate(model.state(motion), load)
                      - model.linear @ model.state(motion), at, places)
     return np.linalg.solve(to_state, model.linear @ to_state + rest), to_state, places
 
 
-def _jacobian(model, function, at, columns):
-    """Return the derivatives of a function of motions, shape (k, len(columns))."""
+def state_places(model: Formulation) -> np.ndarray:
+    """Return the places of the states of linear models in a motion, shape (m,)."""
+    free = np.array([*model.axes, *range(2 + model.driven, model.size // 2)], dtype=int)
+    return np.concatenate([free, model.size // 2 + free])
+
+
+def difference_steps(model: Formulation) -> np.ndarray:
+    """Return steps of differences by each number of a motion, shape (2 (3 + N),)."""
     length = model.manipulator.arm.length
     steps = np.tile(_DIFFERENCE * np.concatenate(
         [[length, length, 1.0], 1.0 / model.section_turn_bound]), 2)
@@ -248,7 +253,12 @@ def _jacobian(model, function, at, columns):
     joints = model.size // 2 + np.arange(3)
     speeds = np.array(model.manipulator.coulomb)[[0, 0, 1], 1]
     steps[joints] = np.minimum(steps[joints], _DIFFERENCE * speeds)
-    found = []
+    return steps
+
+
+def _jacobian(model, function, at, columns):
+    """Return the derivatives of a function of motions, shape (k, len(columns))."""
+    steps, found = difference_steps(model), []
     for column in columns:
         shift = np.zeros_like(at)
         shift[column] = steps[column]
@@ -313,7 +323,8 @@ def _residual(model, at):
     return shifts @ compliance @ loads
 
 
-def _state_names(model):
+def state_names(model: Formulation) -> tuple[str, ...]:
+    """Return the names of the states of linear models, with units."""
     names = [('carrier_x', 'm'), ('carrier_y', 'm')]
     named = [names[axis] for axis in model.axes] + [('shaft', 'rad')] * (not model.driven) + [
         (f'mode_{n}', 'm_sqrt_kg') for n in range(1, len(model.modes) + 1)]

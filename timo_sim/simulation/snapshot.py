@@ -40,13 +40,13 @@ class Joints:
 
     def __init__(self, model: Formulation, motions: np.ndarray, accelerations: np.ndarray,
                  loads: np.ndarray, tip: np.ndarray | None = None) -> None:
-        self._model, self._motions, self._loads, self._tip = model, motions, loads, tip
+        self.model, self.motions, self._loads, self._tip = model, motions, loads, tip
         self._accelerations = accelerations
         self._applied = applied(loads, motions[:, 2])
 
     @cached_property
     def _needed(self):
-        return self._model.effort(self._motions, self._accelerations, self._loads)
+        return self.model.effort(self.motions, self._accelerations, self._loads)
 
     @property
     def reactions(self) -> np.ndarray:
@@ -60,36 +60,36 @@ class Joints:
     @property
     def root_moment(self) -> np.ndarray:
         """Moment in the arm at its root by the balance of the shaft (T45), (T51), (n,) [N m]."""
-        model = self._model
+        model = self.model
         if model.constrained[2]:
             torque = self._needed[:, 2]
         else:
-            torque = self._applied[:, 2] - model.friction(self._motions)[:, 2]
+            torque = self._applied[:, 2] - model.friction(self.motions)[:, 2]
         moment = model.manipulator.shaft_inertia * self._accelerations[:, 2] - torque
         if radius := model.manipulator.hub_radius:
             # The force of the arm on the hub is what the carrier's own balance lacks.
             x, y = (model.manipulator.base_mass * (self._accelerations[:, :2] - model.gravity)
                     - self._needed[:, :2]).T
-            moment = moment - radius * rotate(-self._motions[:, 2], x, y)[1]
+            moment = moment - radius * rotate(-self.motions[:, 2], x, y)[1]
         return moment
 
     @property
     def root_strain(self) -> np.ndarray:
         """Strain of the outer fibre at the root, axial strain included, shape (n,)."""
-        return self._model.strain(self._motions, 0.0, self.root_moment)
+        return self.model.strain(self.motions, 0.0, self.root_moment)
 
     @property
     def tip_acceleration(self) -> np.ndarray:
         """Specific force at the tip, acceleration less gravity, in its axes, (n, 2) [m/s2]."""
-        motion, model = Motion(self._motions), self._model
+        motion, model = Motion(self.motions), self.model
         turned = motion.shaft + model.section_rotation(motion.q, model.tip_point)[:, 0]
         return np.column_stack(rotate(-turned, *(self._tip - model.gravity).T))
 
     @property
     def tip_turning(self) -> np.ndarray:
         """Angular velocity of the end effector, shape (n,) [rad/s]."""
-        motion = Motion(self._motions)
-        return motion.shaft_velocity + motion.qdot @ self._model.points.rotation[:, -1]
+        motion = Motion(self.motions)
+        return motion.shaft_velocity + motion.qdot @ self.model.points.rotation[:, -1]
 
 
 def joints_of_run(scene: Scene, model: Formulation, motions: np.ndarray,
@@ -269,22 +269,6 @@ class Snapshot:
             self.motion[np.newaxis, 3:self._half], self.model.link_ends)[0]
         along, across = np.diff(ends, axis=0).T
         return np.diff(np.arctan2(across, along), prepend=0.0)
-
-    @property
-    def root_strain(self) -> float:
-        """Strain of the outer fibre at the root."""
-        return float(self.joints.root_strain[0])
-
-    @property
-    def tip_turning(self) -> float:
-        """Angular velocity of the end effector [rad/s]."""
-        return float(self.joints.tip_turning[0])
-
-    @property
-    def tip_acceleration(self) -> tuple[float, float]:
-        """Specific force at the tip, acceleration less gravity, in its axes [m/s2]."""
-        x, y = self.joints.tip_acceleration[0].tolist()
-        return x, y
 
     def sensor(self, name: str) -> tuple[float, ...]:
         """Return what a sensor reads, a tuple of float, one for each axis."""

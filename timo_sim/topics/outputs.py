@@ -31,8 +31,9 @@ class Sensor(NamedTuple):
     `read` takes the Joints of n motions and returns what it measures in them, (n,), or (n, axes)
     with a number for each of `columns`. Where the motion alone determines it, a sensor of one axis
     has `of_motion` in its place, which takes a Formulation and motions, (n, 2 (3 + N)), and
-    returns (n,); it is also a quantity of fits and an output of linear models. `quantity` is the one of fits that its last axis shows, by default its
-    own name with `of_motion`; `joint` is its name in a JointState, by default its own.
+    returns (n,); it is also a quantity of fits and an output of linear models. `quantity` is the
+    one of fits that its last axis shows, by default its own name with `of_motion`; `joint` is its
+    name in a JointState, by default its own.
     """
 
     name: str
@@ -40,7 +41,7 @@ class Sensor(NamedTuple):
     meaning: str
     topic: str
     columns: tuple[str, ...]
-    read: Callable | None = None
+    read: Any = None
     of_motion: Callable | None = None
     quantity: str = ''
     joint: str = ''
@@ -49,7 +50,13 @@ class Sensor(NamedTuple):
         """Return what it measures in a Snapshot, without noise: a number for each axis."""
         if self.of_motion:
             return (float(self.of_motion(snapshot.model, snapshot.motion[np.newaxis])[0]),)
-        return tuple(np.ravel(self.read(snapshot.joints)).tolist()) if self.read else ()
+        return tuple(self.of_joints(snapshot.joints)[0].tolist())
+
+    def of_joints(self, joints: Any) -> np.ndarray:
+        """Return what it measures in n motions, given as Joints, without noise, (n, axes)."""
+        found = self.of_motion(joints.model, joints.motions) if self.of_motion else (
+            self.read(joints))
+        return found.reshape(len(found), -1)
 
     @property
     def measured(self) -> str:
