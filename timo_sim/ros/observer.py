@@ -27,7 +27,8 @@ from timo_sim.topics.outputs import IMU, NANOSECONDS, outputs, SENSORS
 _POLL = 1e-3        # [s] of wall time between two looks for messages
 _LONGEST_GAP = 1.0  # [s] between stamps, forward or back, beyond which an estimate begins again
 _LOST = 5.0         # `Observer.consistency` beyond which it does so
-_QOS = QoSProfile(depth=100, reliability=ReliabilityPolicy.BEST_EFFORT)
+_DEPTH = 1000       # messages that wait for a busy node
+_QOS = QoSProfile(depth=_DEPTH, reliability=ReliabilityPolicy.BEST_EFFORT)
 _SHOWN = 'joint_states', '~/modal_state', '~/tip_deflection', '~/tip_pose'
 _DISTURBANCE = Parameter('disturbance', (), '', '', low=0.0)
 
@@ -82,8 +83,10 @@ class ObserverNode(ParameterNode):
     def create_subscription(self, msg_type: Any, topic: str, *arguments: Any,
                             **options: Any) -> Any:
         """Subscribe to a topic of the arm: '~/encoder' is in the namespace of this node."""
+        callback, qos = arguments
         return super().create_subscription(
-            msg_type, topic.removeprefix('~/'), *arguments, **options)
+            msg_type, topic.removeprefix('~/'), callback,
+            qos if isinstance(qos, QoSProfile) else _DEPTH, **options)
 
     def open(self) -> None:
         """Say what is observed."""
