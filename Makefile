@@ -26,7 +26,7 @@ METADATA := pyproject.toml setup.py setup.cfg
 
 .PHONY: help sim view test test-lowest test-without-ros graphics gallery picture modes pages paper \
 	benchmark benchmark-quick benchmark-speed benchmark-speed-quick benchmark-latency benchmark-control \
-	benchmark-fit references real-arm stability stretch stress stress-quick docs clean
+	benchmark-fit observer references real-arm stability stretch stress stress-quick docs clean
 
 help: ## list the targets
 	@sed -n 's/^\([a-z-]*\):.*## /\1\t/p' $(MAKEFILE_LIST) | expand -t 24
@@ -117,6 +117,9 @@ benchmark-latency: $(VENV)/.benchmark ## measure the time from a command to its 
 
 real-arm: $(VENV)/.plot ## fill doc/real_arm.md from the records in DATA=folder
 	@$(BIN)/python -m benchmark.accuracy.real_arm
+
+observer: $(VENV)/.plot ## fill the part of doc/control.md on observers, DATA=folder as of real-arm
+	@$(BIN)/python -m benchmark.accuracy.observer
 
 stretch: $(VENV)/.benchmark ## compare arms that stretch with finite elements
 	@$(BIN)/python -m benchmark.accuracy.stretch

@@ -45,7 +45,7 @@ LONGEST = [f'test_{name}.py' for name in (
     'extending same_bits sweep_command tutorial peers recover view equations fit write stretch '
     'read sweep api topics steps stress formulations payload ros2_control linear '
     'step_derivatives estimated_error batch fit_statistics gravity friction push parameters '
-    'joints').split()]
+    'joints observer').split()]
 
 
 def pytest_collection_modifyitems(items):

@@ -11,14 +11,15 @@ import subprocess
 import sys
 import tempfile
 
-from timo_sim.cli.sim_node import main
+from timo_sim.cli import sim_node
 from timo_sim.ros import diagnostics
 
 _SERVER = multiprocessing.get_context('forkserver')
-_SERVER.set_forkserver_preload(['timo_sim.ros.process', 'timo_sim.cli.sim_node'])
+_SERVER.set_forkserver_preload([
+    'timo_sim.ros.process', 'timo_sim.ros.node', 'timo_sim.ros.observer', 'timo_sim.cli.sim_node'])
 
 
-def _sim_node(arguments, folder, environment, output):
+def _run(main, arguments, folder, environment, output):
     diagnostics._PERIOD = 0.2  # [s] of wall time, since many tests wait for diagnostics
     os.chdir(folder)
     os.environ.clear()
@@ -27,16 +28,16 @@ def _sim_node(arguments, folder, environment, output):
     for stream in (1, 2):
         os.dup2(descriptor, stream)
     sys.argv[1:] = arguments
-    sys.exit(main())
+    sys.exit(getattr(sim_node, main)())
 
 
 class ForkedNode:
-    """A `sim_node` with the methods of `subprocess.Popen` that tests use."""
+    """A `sim_node`, or `main` of its module, with methods of `subprocess.Popen` for tests."""
 
-    def __init__(self, arguments, folder):
+    def __init__(self, arguments, folder, main='main'):
         self._output = tempfile.NamedTemporaryFile()
-        self._process = _SERVER.Process(target=_sim_node, args=(
-            arguments, folder, dict(os.environ), self._output.name))
+        self._process = _SERVER.Process(target=_run, args=(
+            main, arguments, folder, dict(os.environ), self._output.name))
         self._process.start()
         self.pid = self._process.pid
 

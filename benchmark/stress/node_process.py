@@ -22,11 +22,11 @@ PROGRAM = '-m', 'timo_sim.cli.sim_node'
 LEAKY = '-c', """
 from timo_sim.cli.sim_node import main
 from timo_sim.ros.topics import Inlet
-kept, receive = [], Inlet._receive
+kept, receive = [], Inlet.receive
 def keep(inlet, data, answered):
     kept.append(bytearray(b'x') * 10000)
     return receive(inlet, data, answered)
-Inlet._receive = keep
+Inlet.receive = keep
 main()
 """
 WINDOW = 4.0     # [s] of which the lowest memory counts: that of messages under way varies

@@ -142,7 +142,7 @@ def test_axial_coordinates_are_the_last_of_all_lists():
     assert along - 2.0 == pytest.approx(1e-3 * model.modes.displacement([2.0])[0, 5])
     assert across == rotation == 0.0
     # The strain at the root is E(0) q, without bending.
-    strain = Simulator(scene).snapshot().root_strain
+    strain = Simulator(scene).sensors.root_strain
     assert strain == pytest.approx(1e-3 * model.modes.stretch(np.zeros(1))[0, 5])
     linear = timo_sim.linearize(scene.vary({'initial.modal_coordinates': []}))
     assert linear.states[8] == 'mode_6_m_sqrt_kg'

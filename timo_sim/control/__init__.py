@@ -2,7 +2,7 @@
 # SPDX-License-Identifier: Apache-2.0
 
 """
-Parts of controllers, made from the linear model of a scene.
+Parts of controllers, made from a scene or its linear model.
 
 It may import all folders but `ros` and `cli`.
 """

@@ -227,8 +227,8 @@ class Interfaces:
             x, y, theta = snapshot.joint_positions
             along, across, rotation = snapshot.tip
             position, angle = place(x, y, theta, along, across), theta + rotation
-            speeds, _ = model.velocities(motion[np.newaxis], model.tip_point)
-            velocity, turning = speeds[0, 0].tolist(), snapshot.tip_turning
+            speeds, turned = model.velocities(motion[np.newaxis], model.tip_point)
+            velocity, turning = speeds[0, 0].tolist(), float(turned[0, 0])
             coordinates, tip = snapshot.accelerations
             acceleration = tip.tolist()
             turning_rate = float(coordinates[2] + model.points.rotation[:, -1] @ coordinates[3:])

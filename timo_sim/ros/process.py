@@ -3,6 +3,7 @@
 
 """The node's process: starts and ends ROS, and serves callbacks in a thread of their own."""
 
+from collections.abc import Callable
 import gc
 import os
 from pathlib import Path
@@ -17,7 +18,6 @@ from rclpy.executors import ExternalShutdownException
 from rclpy.signals import SignalHandlerOptions
 from rclpy.utilities import remove_ros_args
 
-from timo_sim.ros.node import SimNode
 from timo_sim.scene.files import is_for, read_sections
 from timo_sim.scene.parameters import ParameterError, short
 
@@ -63,12 +63,13 @@ def _warn_of_unused_file(node, file, sections):
         node.get_logger().warning(f'{file} has no parameter for {name}{others}')
 
 
-def run(stop: Any, args: list[str] | None) -> int:
+def run(stop: Any, args: list[str] | None, make: Callable[[Any], Any]) -> int:
     """
-    Start ROS, run the node until a StopRequest, end ROS; return the exit code.
+    Start ROS, run a node until a StopRequest, end ROS; return the exit code.
 
-    It is 0, 1 if the middleware refuses, or 2 for a parameter that breaks its rule. `args` is the
-    command line, by default that of the process.
+    `make` takes the StopRequest and returns the node, which has `open`, `run` and `count_failure`.
+    The code is 0, 1 if the middleware refuses, or 2 for a parameter that breaks its rule. `args`
+    is the command line, by default that of the process.
     """
     sys.setswitchinterval(SWITCH_INTERVAL)
     done = threading.Event()
@@ -93,12 +94,12 @@ def run(stop: Any, args: list[str] | None) -> int:
                 files[file] = read_sections(file)
         rclpy.init(args=args, signal_handler_options=SignalHandlerOptions.NO)
         for argument in remove_ros_args(given)[args is None:]:
-            raise ParameterError(f'{argument!r} must be inside of --ros-args: try sim_node '
-                                 '--ros-args -p duration:=10.0, or sim_node --help')
+            raise ParameterError(f'{argument!r} must be inside of --ros-args, as in '
+                                 '--ros-args -p duration:=10.0; --help says more')
     except (ParameterError, RuntimeError, UnicodeError) as error:  # arguments, or a file
         return _refuse(error)
     try:
-        node = SimNode(stop)
+        node = make(stop)
     except (ParameterError, NameValidationException, ParameterException) as error:
         return _refuse(error)
     except RCLError as error:  # the middleware refuses

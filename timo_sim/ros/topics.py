@@ -3,13 +3,14 @@
 
 """The node's publishers, its subscriptions to commands, and its log."""
 
-from collections.abc import Sequence
+from collections.abc import Iterator, Sequence
 from datetime import datetime
 from importlib import import_module
 import math
 import os
 from pathlib import Path
 import time
+from typing import Any
 
 import numpy as np
 from rclpy.event_handler import PublisherEventCallbacks
@@ -172,6 +173,28 @@ _READ = {
 _WRENCH = 'force.x', 'force.y', 'force.z', 'torque.x', 'torque.y', 'torque.z'
 
 
+def take(subscription: Subscription, kind: type) -> Iterator[tuple[bytes, int]]:
+    """Yield the serialised messages that have arrived, and when, by wall time [ns]."""
+    handle = subscription.handle
+    with handle:
+        # At most a full queue: a fast publisher could keep an endless loop busy for ever.
+        for _ in range(subscription.qos_profile.depth):
+            taken = handle.take_message(kind, True)
+            if taken is None:
+                return
+            yield taken[0], taken[1]['received_timestamp']
+
+
+def decode(data: bytes, kind: type, type_name: str) -> Any:
+    """Return a message; RefusedError if it is none of this type, or a huge one."""
+    if len(data) > LARGEST_COMMAND:
+        raise RefusedError(f'it has {len(data)} bytes, more than {LARGEST_COMMAND}')
+    try:
+        return deserialize_message(data, kind)
+    except RuntimeError:  # rclpy's error for bytes that are no such message
+        raise RefusedError(f'it is not a serialised {type_name}') from None
+
+
 class Inlet:
     """
     The subscription to a command topic; the loop polls it under the node's lock.
@@ -186,17 +209,17 @@ class Inlet:
         self.type = message_class(command.type_name)
         # A logger for each topic, so that the warnings of each are throttled separately.
         self.logger = node.get_logger().get_child(command.name.removeprefix('~/'))
-        self._subscription = node.create_subscription(
+        self.subscription = node.create_subscription(
             self.type, command.name, lambda data: None, DEPTH, raw=True)
-        self.publishers = self._subscription.get_publisher_count
-        self.channel = channel_of(self._subscription, command.type_name, command.name)
+        self.publishers = self.subscription.get_publisher_count
+        self.channel = channel_of(self.subscription, command.type_name, command.name)
         self.pending = None
         self.refused = self.mismatched = self.foreign = 0
 
-    def _receive(self, data, answered):
+    def receive(self, data: bytes, answered: int | None) -> bool:
         """Make a message pending, unless it is refused; return whether it is now."""
         try:
-            message = self._decoded(data)
+            message = decode(data, self.type, self.command.type_name)
             texts, lists = _READ[self.command.type_name](message)
             row = self.command.row(texts, lists, self._frames)
         except RefusedError as reason:
@@ -222,55 +245,41 @@ class Inlet:
         self.pending = row, data
         return True
 
-    def _decoded(self, data):
-        if len(data) > LARGEST_COMMAND:
-            raise RefusedError(f'it has {len(data)} bytes, more than {LARGEST_COMMAND}')
-        try:
-            return deserialize_message(data, self.type)
-        except RuntimeError:  # rclpy's error for bytes that are no such message
-            raise RefusedError(f'it is not a serialised {self.command.type_name}') from None
-
     def poll(self, answered: int | None) -> bool:
         """Receive what has arrived, see `Commands.poll`; return whether a command is in it."""
-        handle, received = self._subscription.handle, False
-        with handle:
-            # At most a full queue: a fast publisher could keep an endless loop busy for ever.
-            for _ in range(self._subscription.qos_profile.depth):
-                taken = handle.take_message(self.type, True)
-                if taken is None:
-                    break
-                received |= self._receive(taken[0], answered)
-        return received
+        # Of all, since each may be refused.
+        return any([self.receive(data, answered)
+                    for data, _ in take(self.subscription, self.type)])
 
 
 class Commands:
     """
     All command topics of a node, and which of them each group of inputs follows.
 
-    `voltage` says whether there is a motor that takes one. `channels` of the log are in the order
-    of COMMANDS. `stale` counts how often a group of inputs fell to zero because its command was
-    too old; `received` says whether a command has come since the last call of `apply`.
+    `voltage` says whether there is a motor that takes one. `inlets`, and `channels` of the log,
+    are in the order of COMMANDS. `stale` counts how often a group of inputs fell to zero because
+    its command was too old; `received` says whether a command has come since `apply` was called.
     """
 
     def __init__(self, node, voltage, frames):
-        self._inlets = [Inlet(node, command, frames) for command in COMMANDS
-                        if voltage or command.name != '~/motor_voltage']
-        self.channels = [inlet.channel for inlet in self._inlets]
+        self.inlets = [Inlet(node, command, frames) for command in COMMANDS
+                       if voltage or command.name != '~/motor_voltage']
+        self.channels = [inlet.channel for inlet in self.inlets]
         self.stale, self.received = 0, False
         # Of each group that follows a command: the command's inlet, and the step when it began.
         self._followed = {}
 
     def count(self, fault: str) -> int:
         """Return the number of commands `refused` or `mismatched`, or `foreign` names in them."""
-        return sum(getattr(inlet, fault) for inlet in self._inlets)
+        return sum(getattr(inlet, fault) for inlet in self.inlets)
 
     def expected(self) -> bool:
         """Return whether anybody publishes commands."""
-        return any(inlet.publishers() for inlet in self._inlets)
+        return any(inlet.publishers() for inlet in self.inlets)
 
     def poll(self, answered: int | None) -> None:
         """Receive what has arrived; drop what has another stamp than `answered` [ns], if any."""
-        for inlet in self._inlets:
+        for inlet in self.inlets:
             self.received |= inlet.poll(answered)
 
     def apply(self, step: int, timeout_steps: float,
@@ -283,7 +292,7 @@ class Commands:
         time-out counts as a message of zeros.
         """
         started, self.received = [], False
-        for index, inlet in enumerate(self._inlets):
+        for index, inlet in enumerate(self.inlets):
             if inlet.pending is not None:
                 row, data = inlet.pending
                 inlet.pending = None
@@ -300,7 +309,7 @@ class Commands:
                         throttle_duration_sec=5.0)
                     commanded[GROUPS[key]] = 0.0
                     index = list(GROUPS).index(key)  # see the order of COMMANDS
-                    started.append((index, serialize_message(self._inlets[index].type())))
+                    started.append((index, serialize_message(self.inlets[index].type())))
         return started
 
     def end(self, timeout_steps: float) -> list[float]:
@@ -312,7 +321,7 @@ class Commands:
         """Set all commanded values, (COMMANDED,), to zero and drop pending commands."""
         commanded[:] = 0.0
         self._followed, self.received = {}, False
-        for inlet in self._inlets:
+        for inlet in self.inlets:
             inlet.pending = None
 
 

@@ -221,7 +221,7 @@ def linearize(scene: SceneLike, at: np.ndarray | None = None) -> LinearModel:
     residual = _residual(formulation, at)
     d = np.stack([_outputs(formulation, at, load + units[name]) - still + residual @ units[name]
                   for name in inputs], axis=-1)
-    return LinearModel(a, b, c, d, _state_names(formulation), tuple(inputs),
+    return LinearModel(a, b, c, d, state_names(formulation), tuple(inputs),
                        _output_names(formulation), at, places)
 
 
@@ -233,16 +233,21 @@ def state_matrix(model: Formulation, at: np.ndarray,
     `x` are the free coordinates and their rates. Also returns the derivatives of the state by
     them, and their places in a motion; shapes (m, m), (m, m), (m,).
     """
-    free = np.array([*model.axes, *range(2 + model.driven, model.size // 2)], dtype=int)
-    places = np.concatenate([free, model.size // 2 + free])
+    places = state_places(model)
     to_state = _jacobian(model, model.state, at, places)
     rest = _jacobian(model, lambda motion: model.rate(model.state(motion), load)
                      - model.linear @ model.state(motion), at, places)
     return np.linalg.solve(to_state, model.linear @ to_state + rest), to_state, places
 
 
-def _jacobian(model, function, at, columns):
-    """Return the derivatives of a function of motions, shape (k, len(columns))."""
+def state_places(model: Formulation) -> np.ndarray:
+    """Return the places of the states of linear models in a motion, shape (m,)."""
+    free = np.array([*model.axes, *range(2 + model.driven, model.size // 2)], dtype=int)
+    return np.concatenate([free, model.size // 2 + free])
+
+
+def difference_steps(model: Formulation) -> np.ndarray:
+    """Return steps of differences by each number of a motion, shape (2 (3 + N),)."""
     length = model.manipulator.arm.length
     steps = np.tile(_DIFFERENCE * np.concatenate(
         [[length, length, 1.0], 1.0 / model.section_turn_bound]), 2)
@@ -255,7 +260,12 @@ def _jacobian(model, function, at, columns):
         steps[rates] = np.fmin(steps[rates], _DIFFERENCE * slow[2] / turns)
         play, place = 0.5 * model.gear.backlash or 1.0, model.gear_place
         steps[place] = min(steps[place], _DIFFERENCE * play / model.rotor[place])
-    found = []
+    return steps
+
+
+def _jacobian(model, function, at, columns):
+    """Return the derivatives of a function of motions, shape (k, len(columns))."""
+    steps, found = difference_steps(model), []
     for column in columns:
         shift = np.zeros_like(at)
         shift[column] = steps[column]
@@ -326,7 +336,8 @@ def _residual(model, at):
     return shifts @ compliance @ loads
 
 
-def _state_names(model):
+def state_names(model: Formulation) -> tuple[str, ...]:
+    """Return the names of the states of linear models, with units."""
     names = [('carrier_x', 'm'), ('carrier_y', 'm')]
     named = [names[axis] for axis in model.axes] + [('shaft', 'rad')] * (not model.driven) + [
         (f'mode_{n}', 'm_sqrt_kg') for n in range(1, len(model.modes) + 1)]

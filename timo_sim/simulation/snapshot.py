@@ -40,13 +40,13 @@ class Joints:
 
     def __init__(self, model: Formulation, motions: np.ndarray, accelerations: np.ndarray,
                  loads: np.ndarray, tip: np.ndarray | None = None) -> None:
-        self._model, self._motions, self._loads, self._tip = model, motions, loads, tip
+        self.model, self.motions, self._loads, self._tip = model, motions, loads, tip
         self._accelerations = accelerations
         self._applied = applied(loads, motions[:, 2])
 
     @cached_property
     def _needed(self):
-        return self._model.effort(self._motions, self._accelerations, self._loads)
+        return self.model.effort(self.motions, self._accelerations, self._loads)
 
     @property
     def reactions(self) -> np.ndarray:
@@ -60,32 +60,38 @@ class Joints:
     @property
     def root_moment(self) -> np.ndarray:
         """Moment in the arm at its root by the balance of the shaft (T45), (T51), (n,) [N m]."""
-        model = self._model
+        model = self.model
         if model.gear:  # it turns the shaft by what the rotor leaves of all torques
             torque = self._needed[:, 2] - model.gear.inertia * (self._accelerations @ model.rotor)
         elif model.constrained[2]:
             torque = self._needed[:, 2]
         else:
-            torque = self._applied[:, 2] - model.friction(self._motions)[:, 2]
+            torque = self._applied[:, 2] - model.friction(self.motions)[:, 2]
         moment = model.manipulator.shaft_inertia * self._accelerations[:, 2] - torque
         if radius := model.manipulator.hub_radius:
             # The force of the arm on the hub is what the carrier's own balance lacks.
             x, y = (model.manipulator.base_mass * (self._accelerations[:, :2] - model.gravity)
                     - self._needed[:, :2]).T
-            moment = moment - radius * rotate(-self._motions[:, 2], x, y)[1]
+            moment = moment - radius * rotate(-self.motions[:, 2], x, y)[1]
         return moment
 
     @property
     def root_strain(self) -> np.ndarray:
         """Strain of the outer fibre at the root, axial strain included, shape (n,)."""
-        return self._model.strain(self._motions, 0.0, self.root_moment)
+        return self.model.strain(self.motions, 0.0, self.root_moment)
 
     @property
     def tip_acceleration(self) -> np.ndarray:
         """Specific force at the tip, acceleration less gravity, in its axes, (n, 2) [m/s2]."""
-        motion, model = Motion(self._motions), self._model
+        motion, model = Motion(self.motions), self.model
         turned = motion.shaft + model.section_rotation(motion.q, model.tip_point)[:, 0]
         return np.column_stack(rotate(-turned, *(self._tip - model.gravity).T))
+
+    @property
+    def tip_turning(self) -> np.ndarray:
+        """Angular velocity of the end effector, shape (n,) [rad/s]."""
+        motion = Motion(self.motions)
+        return motion.shaft_velocity + motion.qdot @ self.model.points.rotation[:, -1]
 
 
 def joints_of_run(scene: Scene, model: Formulation, motions: np.ndarray,
@@ -233,7 +239,8 @@ class Snapshot:
         return found[0], tip[0]
 
     @cached_property
-    def _joints(self):
+    def joints(self) -> Joints:
+        """Forces, moment and strain at the root, and what an IMU shows: Joints of one motion."""
         found, tip = self.accelerations
         return Joints(self.model, self.motion[np.newaxis], found[np.newaxis],
                       self._acts[1][np.newaxis], tip[np.newaxis])
@@ -251,7 +258,7 @@ class Snapshot:
         constrained = self.model.constrained
         if self._acts is None or not constrained.any():
             return effort
-        return tuple(np.where(constrained, self._joints.reactions[0], effort).tolist())
+        return tuple(np.where(constrained, self.joints.reactions[0], effort).tolist())
 
     @cached_property
     def tip(self) -> list[float]:
@@ -265,23 +272,6 @@ class Snapshot:
             self.motion[np.newaxis, 3:self._half], self.model.link_ends)[0]
         along, across = np.diff(ends, axis=0).T
         return np.diff(np.arctan2(across, along), prepend=0.0)
-
-    @property
-    def root_strain(self) -> float:
-        """Strain of the outer fibre at the root."""
-        return float(self._joints.root_strain[0])
-
-    @property
-    def tip_turning(self) -> float:
-        """Angular velocity of the end effector [rad/s]."""
-        rotation = self.model.points.rotation[:, -1]
-        return self._values[self._half + 2] + float(rotation @ self.motion[self._half + 3:])
-
-    @property
-    def tip_acceleration(self) -> tuple[float, float]:
-        """Specific force at the tip, acceleration less gravity, in its axes [m/s2]."""
-        x, y = self._joints.tip_acceleration[0].tolist()
-        return x, y
 
     def sensor(self, name: str) -> tuple[float, ...]:
         """Return what a sensor reads, a tuple of float, one for each axis."""

@@ -28,11 +28,12 @@ class Sensor(NamedTuple):
     `.resolution`, `Simulator.sensors.NAME`, its topic with rate and delay, and columns in logs.
     Its messages are a `sensor_msgs/msg/JointState` or, on the topic `IMU`, `sensor_msgs/msg/Imu`.
 
-    `read` takes a Snapshot and returns what it measures, a number for each of `columns`. Where the
-    motion alone determines it, a sensor of one axis has `of_motion` in its place, which takes a
-    Formulation and motions, (n, 2 (3 + N)), and returns (n,); it is also a quantity of fits and an
-    output of linear models. `quantity` is the one of fits that its last axis shows, by default its
-    own name with `of_motion`; `joint` is its name in a JointState, by default its own.
+    `read` takes the Joints of n motions and returns what it measures in them, (n,), or (n, axes)
+    with a number for each of `columns`. Where the motion alone determines it, a sensor of one axis
+    has `of_motion` in its place, which takes a Formulation and motions, (n, 2 (3 + N)), and
+    returns (n,); it is also a quantity of fits and an output of linear models. `quantity` is the
+    one of fits that its last axis shows, by default its own name with `of_motion`; `joint` is its
+    name in a JointState, by default its own.
     """
 
     name: str
@@ -40,7 +41,7 @@ class Sensor(NamedTuple):
     meaning: str
     topic: str
     columns: tuple[str, ...]
-    read: Callable | None = None
+    read: Any = None
     of_motion: Callable | None = None
     quantity: str = ''
     joint: str = ''
@@ -50,7 +51,13 @@ class Sensor(NamedTuple):
         """Return what it measures in a Snapshot, without noise: a number for each axis."""
         if self.of_motion:
             return (float(self.of_motion(snapshot.model, snapshot.motion[np.newaxis])[0]),)
-        return tuple(self.read(snapshot)) if self.read else ()
+        return tuple(self.of_joints(snapshot.joints)[0].tolist())
+
+    def of_joints(self, joints: Any) -> np.ndarray:
+        """Return what it measures in n motions, given as Joints, without noise, (n, axes)."""
+        found = self.of_motion(joints.model, joints.motions) if self.of_motion else (
+            self.read(joints))
+        return found.reshape(len(found), -1)
 
     @property
     def measured(self) -> str:
@@ -68,13 +75,13 @@ IMU = '~/tip_imu/data_raw'
 SENSORS = (
     Sensor('root_strain', '', 'the strain of the outer fibre at the root',
            '~/root_strain', ('outer_fibre',),
-           lambda snapshot: (snapshot.root_strain,), quantity='root_strain'),
+           lambda joints: joints.root_strain, quantity='root_strain'),
     Sensor('tip_acceleration', 'm/s2', 'either axis of the specific force '
            '(acceleration less gravity) of the tip',
            IMU, ('acceleration_x_m_per_s2', 'acceleration_y_m_per_s2'),
-           lambda snapshot: snapshot.tip_acceleration, quantity='tip_acceleration'),
+           lambda joints: joints.tip_acceleration, quantity='tip_acceleration'),
     Sensor('gyro', 'rad/s', 'the angular velocity of the tip',
-           IMU, ('turning_rad_per_s',), lambda snapshot: (snapshot.tip_turning,)),
+           IMU, ('turning_rad_per_s',), lambda joints: joints.tip_turning),
     Sensor('encoder', 'rad', 'the shaft angle',
            '~/encoder', ('shaft_rad',),
            of_motion=lambda model, motions: motions[:, 2], quantity='shaft', joint='shaft'),

@@ -1,0 +1,194 @@
+# Copyright 2026 The timo_sim authors
+# SPDX-License-Identifier: Apache-2.0
+
+"""
+Observers of simulated arms and of a real one: `make observer DATA=folder` fills doc/control.md.
+
+`made` needs no data. `real` is the record of the rotary flexible link of `real_arm`, which says
+where it is from: its first half is fitted, and an observer follows the second by encoder and
+voltage. The linear filter has the same fit, noise and disturbance, without dry friction.
+"""
+
+import math
+import warnings
+
+import numpy as np
+
+from benchmark import ROOT
+from benchmark.accuracy.real_arm import CASES, DATA, FILES, HOLD_OUT
+from benchmark.report import BLACK, BLUE, make_page, ORANGE, table
+import timo_sim
+from timo_sim.fitting.problem import r_squared
+
+PERIOD, UPDATES, SEEDS = 0.01, 100, 100
+# Sensors in words, and their noise.
+SENSORS = {
+    'encoder': {'encoder.noise': 1e-4},
+    'encoder, strain gauge': {'encoder.noise': 1e-4, 'root_strain.noise': 2e-6},
+    'encoder, IMU at the tip': {
+        'encoder.noise': 1e-4, 'gyro.noise': 2e-3, 'tip_acceleration.noise': 0.05}}
+ARMS = {'held': {'carrier.held': 'both'}, 'free': {}}
+PERIOD_OF_RECORD = 0.002         # [s]
+ENCODER = 2.0 * math.pi / 4096.0  # resolution of the real encoder [rad]
+
+
+def errors(scene, seed):
+    """Return error, deviation and deflection of the tip [m], and innovations, of an observer."""
+    random = np.random.default_rng(seed)
+    size, time = 1.0, 0.5
+    observer = timo_sim.observer(scene, disturbance={'torque': (size, time)})
+    arm = timo_sim.Simulator(scene.vary({'sensor.seed': seed}))
+    places = timo_sim.linearize(scene).places
+    first, count = arm.motion.values, len(places)
+    first[places] = random.multivariate_normal(
+        first[places], observer.covariance[:count, :count])
+    arm.set_motion(first)
+    disturbance, fade, rows, innovations = size * random.standard_normal(), math.exp(
+        -PERIOD / time), [], []
+    for k in range(UPDATES + 1):
+        torque = 5.0 * math.sin(6.0 * k * PERIOD)
+        if k:
+            disturbance = fade * disturbance + (
+                size * math.sqrt(1.0 - fade**2) * random.standard_normal())
+            arm.step(torque=torque + disturbance, duration=PERIOD)
+        seen = arm.sensors
+        observer.update({name: getattr(seen, name) for name in observer.sensors},
+                        {'torque': torque}, PERIOD if k else 0.0)
+        true = arm.deflection()[1]
+        rows.append([observer.deflection()[1] - true, observer.deflection_deviation[1], true])
+        innovations.append(observer.normalised_innovation)
+    return np.array(rows), np.array(innovations)
+
+
+def made(quick):
+    """Return a table of observers of simulated arms."""
+    rows = []
+    for arm, values in ARMS.items():
+        for words, noise in SENSORS.items():
+            scene = timo_sim.load_scene({
+                **values, 'arm.damping_ratio': [0.01],
+                **{f'sensor.{name}': each for name, each in noise.items()}})
+            runs = [errors(scene, seed) for seed in range(10 if quick else SEEDS)]
+            tips, innovations = (np.array([run[k] for run in runs]) for k in (0, 1))
+            late = tips[:, len(tips[0]) // 2:]
+            rows.append([
+                arm, words, f'{1e3 * np.std(late[..., 2]):.1f} mm',
+                f'{1e3 * np.sqrt(np.mean(late[..., 0]**2)):.2f} mm',
+                f'{100.0 * np.mean(abs(tips[..., 0]) < 3.0 * tips[..., 1]):.2f} %',
+                f'{np.mean(innovations**2):.3f}'])
+    return table(['carrier', 'sensors', 'rms deflection of the tip', 'rms error',
+                  'within three deviations', 'mean square of normalised innovations'], rows)
+
+
+class Link:
+    """The real arm: its record, and what was fitted to the first half."""
+
+    def __init__(self):
+        case = CASES[0]
+        scene = timo_sim.load_scene(FILES / case.scene)
+        record = timo_sim.read_record(DATA / case.record, FILES / case.columns)
+        # The arm behind its shaft, then the motor that turns it.
+        angle = timo_sim.read_record(DATA / case.record, FILES / 'merced_angle.yaml')
+        self.arm = timo_sim.fit(scene, angle, [
+            'arm.young_modulus', 'arm.damping_ratio', 'root_strain.gain'], hold_out=HOLD_OUT)
+        known = scene.vary({name: self.arm.scene.values[name]
+                            for name in ('arm.young_modulus', 'arm.damping_ratio')})
+        self.motor = timo_sim.fit(
+            known, record, [name for name in case.free if not name.startswith('arm.')],
+            hold_out=HOLD_OUT)
+        self.scene = self.motor.scene.vary({'sensor.encoder.resolution': ENCODER})
+        # Half of the dry friction, and about a period of the clamped arm.
+        self.disturbance = 0.5 * self.scene.values['motor.coulomb_friction'], 0.4
+        self.t, self.shaft = record.outputs['shaft'].t, record.outputs['shaft'].values
+        self.strain = record.outputs['root_strain'].values / self.arm.values['root_strain.gain']
+        self.volts = record.inputs['voltage'].values + self.motor.values['voltage.bias']
+        self.held_out = self.t > self.motor.until
+
+    def share(self, strain):
+        """Return R^2 of a strain, of the length of the record, on the half that was held out."""
+        return r_squared(self.strain[self.held_out], strain[self.held_out])
+
+    def open_loop(self, scene, volts):
+        """Return the strain of a run from the beginning by the voltage alone, times a factor."""
+        simulator, found = timo_sim.Simulator(scene), []
+        for volt in self.volts:
+            found.append(simulator.sensors.root_strain)
+            simulator.step(voltage=volts * volt, duration=PERIOD_OF_RECORD)
+        return np.array(found)
+
+    def observe(self, scene, volts):
+        """Return the strain that an observer expects, and its consistency at the end."""
+        observer = timo_sim.observer(scene, ['encoder'], {'torque': self.disturbance})
+        found = []
+        for k, angle in enumerate(self.shaft):
+            observer.update({'encoder': angle}, {'voltage': volts * self.volts[k - 1]},
+                            PERIOD_OF_RECORD if k else 0.0)
+            found.append(observer.expected('root_strain')[0])
+        return np.array(found), observer.consistency
+
+    def observe_linearly(self, scene, volts):
+        """Return the strain of a Kalman filter of the linear model."""
+        fitted = timo_sim.observer(scene, ['encoder'], {'torque': self.disturbance})
+        size, (deviation, time) = len(fitted.states), self.disturbance
+        linear = timo_sim.linearize(scene.vary({'motor.coulomb_friction': 0.0})).select(
+            ['voltage_V', 'torque_N_m'], ['shaft_rad', 'root_strain']).to_discrete(
+                PERIOD_OF_RECORD)
+        fade, entry = math.exp(-PERIOD_OF_RECORD / time), np.append(linear.B[:, 1], 1.0)
+        a = np.zeros((size, size))
+        a[:-1, :-1], a[:, -1] = linear.A, fade * entry
+        c = np.hstack([linear.C, linear.D[:, 1:]])
+        x, p, found = np.zeros(size), fitted.covariance, []
+        for k, angle in enumerate(self.shaft):
+            volt = volts * self.volts[k - 1] if k else 0.0
+            if k:
+                x, p = a @ x, a @ p @ a.T + (
+                    deviation**2 * (1.0 - fade**2) * np.outer(entry, entry))
+                x[:-1] += linear.B[:, 0] * volt
+            gain = p @ c[0] / (c[0] @ p @ c[0] + ENCODER**2 / 12.0)
+            x, p = x + gain * (angle - c[0] @ x), p - np.outer(gain, c[0] @ p)
+            found.append(c[1] @ x + linear.D[1, 0] * volt)
+        return np.array(found)
+
+
+def draw(link, voltage, observed):
+    """Draw the strain of the half that was held out, and errors."""
+    from matplotlib.figure import Figure
+    figure, part = Figure(figsize=(8.0, 5.0), layout='constrained'), link.held_out
+    above, below = figure.subplots(2, sharex=True)
+    above.plot(link.t[part], 1e6 * link.strain[part], color=BLACK, label='measured')
+    for words, strain, colour in (('voltage alone', voltage, ORANGE),
+                                  ('observer: encoder and voltage', observed, BLUE)):
+        above.plot(link.t[part], 1e6 * strain[part], color=colour, label=words, linewidth=1.0)
+        below.plot(link.t[part], 1e6 * (strain - link.strain)[part], color=colour, linewidth=1.0)
+    above.set(ylabel='strain at the root [1e-6]')
+    figure.legend(loc='outside upper center', ncols=3)
+    below.set(ylabel='error [1e-6]', xlabel='t [s]')
+    figure.savefig(ROOT / 'doc' / 'observer.png', dpi=80)
+
+
+def real(quick):
+    """Observe the real arm; draw it, and return a table."""
+    with warnings.catch_warnings():
+        warnings.simplefilter('ignore', timo_sim.ModelWarning)
+        link = Link()
+        scene, rows = link.scene, []
+        for words, changed, volts in (
+                ('as fitted', scene, 1.0), ('voltage 10 % too low', scene, 0.9),
+                ('no dry friction in the model', scene.vary({'motor.coulomb_friction': 0.0}), 1.0),
+                ('20 % more inertia of the shaft', scene.vary({
+                    'motor.shaft_inertia': 1.2 * scene.values['motor.shaft_inertia']}), 1.0)):
+            observed, consistency = link.observe(changed, volts)
+            strains = (link.open_loop(changed, volts), link.observe_linearly(changed, volts),
+                       observed)
+            rows.append([words, *(f'{link.share(each):.4f}' for each in strains),
+                         f'{consistency:.2f}'])
+            if changed is scene and volts == 1.0:
+                draw(link, strains[0], strains[2])
+    return table(['R^2 of the strain', 'voltage alone', 'linear filter', 'observer',
+                  '`consistency`'], rows)
+
+
+PARTS = {'observer made': made, 'observer real': real}
+
+if __name__ == '__main__':
+    make_page(__spec__, __doc__, 'control.md', PARTS, 'few seeds')
