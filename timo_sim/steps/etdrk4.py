@@ -46,11 +46,6 @@ def propagator(linear: np.ndarray, step: float) -> Propagator:
                       step * (2.0 * phi_2 - 4.0 * phi_3), step * (4.0 * phi_3 - phi_2))
 
 
-def transposed(matrices: Propagator) -> Propagator:
-    """Return the transposed matrices, as `product` takes them."""
-    return Propagator._make(np.swapaxes(matrix, -1, -2) for matrix in matrices)
-
-
 # The series of phi_3 is summed where the norm of its argument is at most _NORM. Cut off after
 # _TERMS terms, its relative error is 2^23 3! / 26! = 1e-19.
 _NORM, _TERMS = 2.0, 22

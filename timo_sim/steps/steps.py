@@ -12,15 +12,15 @@ from timo_sim.compiled.entry import Call
 from timo_sim.model.formulation import Formulation
 from timo_sim.model.layout import AFTER, LOADS, STEP_LOADS
 from timo_sim.steps import etdrk4
-from timo_sim.steps.etdrk4 import Propagator, propagator, transposed
+from timo_sim.steps.etdrk4 import Propagator, propagator
 
 NO_LOADS = np.zeros((0, STEP_LOADS, LOADS))
 CHUNK = 2048  # most steps at once, for which loads are tabulated
 
 
-def matrices_of(linear: np.ndarray, step: float) -> Propagator:
-    """Return the constants of `one_step`; their kind chooses its method."""
-    return transposed(propagator(linear, step))
+def matrices_of(linear: np.ndarray, step: float) -> NamedTuple:
+    """Return the constants of `one_step`, transposed for `product`; their kind is the method."""
+    return Propagator._make(each.swapaxes(-1, -2) for each in propagator(linear, step))
 
 
 class Samples(NamedTuple):
