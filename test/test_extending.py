@@ -14,7 +14,7 @@ import numpy as np
 import pytest
 
 ROOT = Path(__file__).resolve().parents[1]
-TOPIC, SENSOR, INPUT, FORMULA, FORMULATION, LINE = re.findall(
+TOPIC, SENSOR, INPUT, FORMULA, FORMULATION, LINE, INTEGRATOR, METHOD = re.findall(
     r'```python\n(.*?)```',
     (ROOT / 'doc/design.md').read_text().split('## Add something')[1].split('\n## ')[0], re.S)
 
@@ -43,6 +43,10 @@ print(abs(velocity - run.carrier_velocity[:, 1]).max(), abs(velocity).max())
 newton = timo_sim.simulate(
     scene.vary({'model.formulation': 'newton'}), 1.0, 2, estimate=False)
 print(newton.q[-1, 0], run.q[-1, 0])
+bent = scene.vary({'carrier.held': 'both', 'motor.shaft': 'locked', 'integrator.step': 0.05,
+                   'initial.modal_coordinates': [0.1]})
+vibrating = timo_sim.simulate(bent, 1.0, estimate=False)
+print(vibrating.model.modes.omega[0], *vibrating.q[:, 0])
 """
 
 
@@ -69,6 +73,8 @@ def extended(tmp_path_factory):
     insert(package / 'model/newton.py', 'ACCELERATION, ANGLE,', 'LOADS, ')
     (package / 'model/newton_small_speed.py').write_text(FORMULATION)
     insert(package / 'model/__init__.py', '}\n', LINE)
+    (package / 'steps/rk4.py').write_text(INTEGRATOR)
+    insert(package / 'steps/steps.py', '    return Propagator._make(', METHOD)
     return folder
 
 
@@ -84,14 +90,18 @@ def python(folder, *arguments):
 
 
 def test_in_python(extended):
-    (bias, slope, unlike, large, commanded, prescribed, far, error, size, newton, ours) = map(
-        float, python(extended, '-c', RUN).split())
+    (bias, slope, unlike, large, commanded, prescribed, far, error, size, newton, ours,
+     omega, *vibration) = map(float, python(extended, '-c', RUN).split())
     assert bias == pytest.approx(0.5, abs=1e-12) and slope == pytest.approx(1.0, rel=1e-9)
     # The disturbance is another torque, in linear models, commands and scenes.
     assert max(unlike / large, commanded / far, prescribed / far) < 1e-12
     assert error == 0.0 and size > 0.01
     # The omitted terms are theta'^2, some 0.25 / s2, beside omega^2 > 20 / s2: 1 % at most.
     assert ours == pytest.approx(newton, rel=0.01) and ours != newton
+    # The integrator: each step of 50 ms multiplies a vibration by the series of exp(i h omega).
+    turn = 0.05j * omega
+    growth = 1.0 + turn + turn**2 / 2.0 + turn**3 / 6.0 + turn**4 / 24.0
+    assert vibration == pytest.approx(0.1 * (growth**np.arange(21)).real, abs=1e-12)
 
 
 def test_in_the_node_its_log_and_a_table(extended):

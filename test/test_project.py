@@ -8,7 +8,6 @@ from decimal import Decimal
 from graphlib import TopologicalSorter
 from html import unescape
 import importlib.util
-import json
 import os
 from pathlib import Path
 from posixpath import dirname, join, normpath
@@ -19,7 +18,6 @@ import sysconfig
 import tomllib
 from types import SimpleNamespace
 
-import numpy as np
 import pytest
 import timo_sim
 from timo_sim import extras
@@ -356,28 +354,6 @@ def test_its_python_runs(page, tmp_path, monkeypatch, capsys):
                 assert float(other) == pytest.approx(float(number), abs=1.01 * unit)
     for name in re.findall(r"save(?:fig)?\('(.*?)'\)", text):
         assert (tmp_path / name).stat().st_size > 0
-
-
-def test_the_notebook_runs():
-    """Run its cells in turn; it is kept without outputs."""
-    import matplotlib.pyplot as plt
-    cells = json.loads((ROOT / 'doc' / 'tutorial' / 'arm.ipynb').read_text())['cells']
-    assert not any(cell.get('outputs') for cell in cells)
-    scope = {}
-    with plt.rc_context({'animation.embed_limit': 0.1}):  # [MB] of frames, for speed
-        for cell in cells:
-            if cell['cell_type'] == 'code':
-                exec(''.join(cell['source']), scope)
-        assert '<img' in scope['animation'].to_jshtml()
-        plt.close('all')
-    # Shear and rotary inertia lower the frequencies, the more the shorter the wave.
-    lower = 1.0 - scope['modes'].omega / scope['slender']
-    assert lower[0] > 0.0 and np.all(np.diff(lower) > 0.0) and lower[-1] < 4e-3
-    assert scope['modes'].deflection(scope['xi']) == pytest.approx(scope['shapes'], abs=0.01)
-    # The second mode has a thousandth of the deflection.
-    assert scope['decrement'] == pytest.approx(scope['expected'], rel=2e-3)
-    lowest = [scope[name].deflection(10.0)[:, 1].min() for name in ('exact', 'newton')]
-    assert lowest[0] == pytest.approx(-0.5738, abs=2e-4) and lowest[1] < -10.0
 
 
 def test_a_notebook_shows_what_is_compiled_as_a_line(tmp_path, monkeypatch):

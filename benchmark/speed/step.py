@@ -29,7 +29,7 @@ from timo_sim.model.layout import LOADS
 from timo_sim.simulation.derivatives import unit_loads
 from timo_sim.steps import etdrk4
 from timo_sim.steps.derivatives import step_derivatives
-from timo_sim.steps.etdrk4 import propagator, transposed
+from timo_sim.steps.steps import matrices_of
 
 PAPER = ROOT / 'config' / 'paper.yaml'
 STEPS = 1000  # of 10 ms
@@ -75,7 +75,7 @@ class Prepared:
         self._start = self.model.state(scene.initial_motion())
         self._loads = scene.load.stages(0, steps, scene.step)
         self._advance = etdrk4.advance.of(
-            self.model.packed, pack(transposed(propagator(self.model.linear, scene.step))))
+            self.model.packed, pack(matrices_of(self.model.linear, scene.step)))
 
     def run(self, every=0):
         """Do the steps; return motions at the start and after each `every` of them."""

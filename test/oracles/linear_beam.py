@@ -15,10 +15,16 @@ from numpy.polynomial import legendre
 ELEMENTS, ORDER = 8, 8
 # First three frequencies of a thin spinning arm without a tip and a hub, across the plane of
 # rotation, by its speed, both over sqrt(E I / (rho A l^4)): Wright, Smith, Thresher and Wang, J.
-# Appl. Mech. 49 (1982) 197-202. Within the plane they are sqrt(these^2 - speed^2).
-WRIGHT = {0.0: (3.5160, 22.0345, 61.6972), 1.0: (3.6817, 22.1810, 61.8418),
-          2.0: (4.1373, 22.6149, 62.2732), 3.0: (4.7973, 23.3203, 62.9850),
-          6.0: (7.3604, 26.8091, 66.6840), 12.0: (13.1702, 37.6031, 79.6145)}
+# Appl. Mech. 49 (1982) 197-202, to the three decimals of G. Bir, AIAA 2009-1035, Table 3a, as the
+# tests of pyBModes transcribe it. Within the plane they are sqrt(these^2 - speed^2).
+WRIGHT = {
+    0.0: (3.516, 22.035, 61.697), 1.0: (3.682, 22.181, 61.842),
+    2.0: (4.137, 22.615, 62.273), 3.0: (4.797, 23.320, 62.985),
+    4.0: (5.585, 24.273, 63.967), 5.0: (6.450, 25.446, 65.205),
+    6.0: (7.360, 26.809, 66.684), 7.0: (8.300, 28.334, 68.386),
+    8.0: (9.257, 29.995, 70.293), 9.0: (10.226, 31.771, 72.387),
+    10.0: (11.202, 33.640, 74.649), 11.0: (12.184, 35.589, 77.064),
+    12.0: (13.170, 37.603, 79.615)}
 
 
 def _shapes(size):

@@ -21,8 +21,8 @@ from timo_sim.compiled.functions import (
 from timo_sim.compiled.functions import WIDTH
 from timo_sim.model.functions import sincos, tanh
 from timo_sim.steps import etdrk4, friction
-from timo_sim.steps.etdrk4 import propagator, transposed
 from timo_sim.steps.friction import FrictionSteps
+from timo_sim.steps.steps import matrices_of
 
 
 @pytest.fixture(scope='module')
@@ -202,7 +202,7 @@ def test_a_step_allocates_nothing(formulation, entry, tmp_path):
     """Its machine code has no calls but those that set and copy memory."""
     scene = timo_sim.load_scene({'model.formulation': formulation})
     model = scene.build()
-    constants = model.packed, pack(transposed(propagator(model.linear, scene.step)))
+    constants = model.packed, pack(matrices_of(model.linear, scene.step))
     if entry is friction.advance:
         constants += FrictionSteps(model, scene.step, np.ones(3)).joints,
     path = tmp_path / 'step.o'

@@ -35,16 +35,17 @@ def entries() -> list[tuple[Any, tuple[type, ...]]]:
         (entry, (modes.UniformArm,))
         for entry in (modes.bisect, modes.boundary_conditions, modes.fields)]
     for tables in (exact_code.Tables, newton.Tables):
-        step, own = (tables, etdrk4.Propagator), (instance.Plant, instance.Instance)
+        own = instance.Plant, instance.Instance
         found += [
             (functions.rate_once, (tables,)), (functions.tips, (tables,)),
             (functions.accelerations_of, (tables, functions.Flow)),
             (functions.efforts, (tables,)), (functions.energies, (tables,)),
-            (etdrk4.advance, step), (friction.advance, (*step, friction.Joints)),
             (instance.is_valid, (tables, instance.Instance)),
             (instance.set_rates, (tables, *own)), (instance.set_forces, (tables, *own))]
-        found += [(entry, (*step, lanes.LaneConstants))
-                  for entry in (lanes.advance_alike, lanes.advance_each)]
+        for step in [(tables, matrices) for matrices in etdrk4.one_step.bodies]:
+            found += [(etdrk4.advance, step), (friction.advance, (*step, friction.Joints)),
+                      (lanes.advance_alike, (*step, lanes.LaneConstants)),
+                      (lanes.advance_each, (*step, lanes.LaneConstants))]
     found.append((derivatives.differentiate,
                   (exact_code.Tables, etdrk4.Propagator, derivatives.Inputs)))
     actuators = loads.Actuators, instance.Instance

@@ -16,7 +16,7 @@ from scipy.linalg.lapack import dgebal
 
 from timo_sim.compiled.constants import local_arrays
 from timo_sim.compiled.entry import entry_point
-from timo_sim.compiled.functions import Array, as_vectors, Constants, inner, strict
+from timo_sim.compiled.functions import Array, as_vectors, Constants, declare, inner, strict
 from timo_sim.model.functions import copy, linear_part_is_valid, observe, rate
 from timo_sim.model.layout import AFTER, END, LOADS, MIDDLE, START, STEP_LOADS
 
@@ -44,11 +44,6 @@ def propagator(linear: np.ndarray, step: float) -> Propagator:
     return Propagator(whole, half[0], 0.5 * step * half[1],
                       step * (phi_1 - 3.0 * phi_2 + 4.0 * phi_3),
                       step * (2.0 * phi_2 - 4.0 * phi_3), step * (4.0 * phi_3 - phi_2))
-
-
-def transposed(matrices: Propagator) -> Propagator:
-    """Return the transposed matrices, as `product` takes them."""
-    return Propagator._make(np.swapaxes(matrix, -1, -2) for matrix in matrices)
 
 
 # The series of phi_3 is summed where the norm of its argument is at most _NORM. Cut off after
@@ -155,9 +150,14 @@ class Work(NamedTuple):
     rate_c: Annotated[np.ndarray, 'padded_state']     # n at the end, at c
 
 
-@inner
-def one_step(tables, propagator, start, middle, end, work):
-    """Write the state one step after `now` (T36) to `following`; the stages see three loads."""
+@declare
+def one_step(matrices, tables, start, middle, end, work):
+    """Write the state one step after `now` to `following`; the stages see three loads."""
+
+
+@one_step.of(Propagator, merge=True)
+def _one_step(propagator, tables, start, middle, end, work):
+    """As `one_step`, by (T36)."""
     now, following = work.now, work.following
     rate(tables, now, start, work.rate_0)
 
@@ -216,7 +216,7 @@ def advance(tables, propagator, state, load, loads, count, sample_every, since, 
         if k == count:
             break
         start, middle, end = loads[k, START], loads[k, MIDDLE], loads[k, END]
-        one_step(tables, propagator, start, middle, end, work)
+        one_step(propagator, tables, start, middle, end, work)
         if not is_finite(following):
             break
         copy(following, now)

@@ -377,7 +377,7 @@ def advance(tables, propagator, joints, memory, state, load, loads, count, sampl
                 if _solve_model(joints, model, trial):
                     break
             _add_friction(loads[k], trial, pushed)
-            one_step(tables, propagator, pushed[0], pushed[1], pushed[2], work)
+            one_step(propagator, tables, pushed[0], pushed[1], pushed[2], work)
             observe(tables, following, pushed[2], motion)
             _turn_rotor(joints, motion)
             sliding = _note_trial(joints, model, trial, number, motion)

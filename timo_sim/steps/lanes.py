@@ -21,7 +21,8 @@ from timo_sim.compiled.functions import (
 from timo_sim.model.formulation import Formulation
 from timo_sim.model.functions import copy, observe, tip
 from timo_sim.model.layout import AFTER, END, LOADS, MIDDLE, STAGES, START, STEP_LOADS
-from timo_sim.steps.etdrk4 import one_step, propagator, transposed, Work
+from timo_sim.steps.etdrk4 import one_step, Work
+from timo_sim.steps.steps import matrices_of
 
 
 class LaneConstants(NamedTuple):
@@ -55,14 +56,14 @@ class LaneSteps:
         lanes, size = len(padded), models[0].size
         if all(model is models[0] for model in models):
             entry, tables = advance_alike, models[0].pack(models[0].tables, pad=False)
-            matrices = pack(transposed(propagator(models[0].linear, step)), pad=False)
+            matrices = pack(matrices_of(models[0].linear, step), pad=False)
         else:
             fields, linear = ([model.tables for model in padded],
                               np.array([model.linear for model in padded]))
             entry, tables = advance_each, pack_lanes(
                 fields[0]._make(np.array(each) for each in zip(*fields)), motion=size,
                 state=linear.shape[-1])
-            matrices = pack_lanes(transposed(propagator(linear, step)))
+            matrices = pack_lanes(matrices_of(linear, step))
         lane_constants = pack_lanes(LaneConstants(
             np.zeros((lanes, LOADS)), np.zeros((lanes, STEP_LOADS, LOADS)),
             np.array([model.tip_travel[3:] for model in padded]),
@@ -156,7 +157,7 @@ def _advance(tables, propagator, lane, columns, count, varying, varying_from, st
             break
         for row in range(STAGES):
             _set_load(lane, columns, count, varying, place + (STEP_LOADS + row) * count, row)
-        one_step(tables, propagator, load[START], load[MIDDLE], load[END], work)
+        one_step(propagator, tables, load[START], load[MIDDLE], load[END], work)
         if k < tip_rows:
             for i in range(len(lane.tip_travel)):
                 motion[3 + i] = now[modal + i]

@@ -12,10 +12,15 @@ from timo_sim.compiled.entry import Call
 from timo_sim.model.formulation import Formulation
 from timo_sim.model.layout import AFTER, LOADS, STEP_LOADS
 from timo_sim.steps import etdrk4
-from timo_sim.steps.etdrk4 import propagator, transposed
+from timo_sim.steps.etdrk4 import Propagator, propagator
 
 NO_LOADS = np.zeros((0, STEP_LOADS, LOADS))
 CHUNK = 2048  # most steps at once, for which loads are tabulated
+
+
+def matrices_of(linear: np.ndarray, step: float) -> NamedTuple:
+    """Return the constants of `one_step`, transposed for `product`; their kind is the method."""
+    return Propagator._make(each.swapaxes(-1, -2) for each in propagator(linear, step))
 
 
 class Samples(NamedTuple):
@@ -30,7 +35,7 @@ class LinearPart(NamedTuple):
     """Constants of a model with one linear part L of its rate, and the matrices of its steps."""
 
     advance: Call       # `etdrk4.advance` with its constants
-    constants: tuple[Packed, Packed]  # of the compiled functions; `etdrk4.Propagator`
+    constants: tuple[Packed, Packed]  # of the compiled functions, `matrices_of`
 
 
 class Steps:
@@ -107,7 +112,7 @@ class Steps:
             if sector is not None:
                 tables, linear = model.in_sector(sector)
                 packed = model.pack(tables)
-            constants = packed, pack(transposed(propagator(linear, self.step)))
+            constants = packed, pack(matrices_of(linear, self.step))
             self._parts[sector] = LinearPart(etdrk4.advance.of(*constants), constants)
         return self._parts[sector]
 
