@@ -5,8 +5,8 @@
 
 from bisect import bisect_left
 from collections.abc import Mapping
+from dataclasses import dataclass
 from functools import partial
-from typing import NamedTuple
 
 import numpy as np
 from numpy.typing import ArrayLike
@@ -25,7 +25,8 @@ _ROUND_OFF = 1e-13  # relative, of what should vanish
 _DEPENDENT = 1e-10  # relative singular value of constraints that depend on each other
 
 
-class Plan(NamedTuple):
+@dataclass(frozen=True)
+class Plan:
     """Times t [s], states x, inputs u that are held from then on, outputs y; shapes (k, ...)."""
 
     t: np.ndarray
@@ -35,7 +36,8 @@ class Plan(NamedTuple):
 
     def at(self, t: float) -> 'Plan':
         """Return the period nearest to a time [s], or the last one, without the first axis."""
-        return Plan(*(each[min(round(t / self.t[1]), len(each) - 1)] for each in self))
+        place = min(round(t / self.t[1]), len(self.t) - 1)
+        return Plan(self.t[place], self.x[place], self.u[place], self.y[place])
 
 
 def feedforward(model: LinearModel, goal: Mapping[str, float], duration: float | None = None,

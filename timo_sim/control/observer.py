@@ -24,7 +24,8 @@ from timo_sim.simulation.snapshot import Joints, variance
 from timo_sim.simulation.warnings import DivergenceError
 from timo_sim.topics.outputs import SENSORS
 
-_SENSORS = {sensor.name: sensor for sensor in SENSORS}
+# Steps of scenes with an elastic gear have no derivatives.
+_SENSORS = {sensor.name: sensor for sensor in SENSORS if not sensor.of_gear}
 # Of a disturbance that is not given: the strain at the root by it, and the part of dry friction.
 _STRAIN, _OF_FRICTION = 1e-5, 0.5
 _FIRST_ANGLE = 0.01    # deviation of shaft and sections at first [rad]
