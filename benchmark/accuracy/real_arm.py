@@ -241,53 +241,53 @@ def decay(parts):
 def black_box(case, parts):
     """Return R^2 by output, (fitted, held out), and the order of a linear model by N4SID."""
     def sampled(record):
-        t = np.arange(0.0, record.duration, case.step)
-        return t, *(np.column_stack([
-            [channel.values[np.searchsorted(channel.t, at):][:1 + int(
-                case.step / np.median(np.diff(channel.t)))].mean() for at in t]
-            for channel in channels.values()]) if channels else np.zeros((len(t), 0))
-            for channels in (record.inputs, record.outputs))
+        fine = np.arange(0.0, record.duration, case.step / 10)
+        fine = fine[:len(fine) // 10 * 10]
+        return fine[::10], *(np.column_stack([np.zeros((len(fine) // 10, 0)), *(
+            np.interp(fine, channel.t, channel.values).reshape(-1, 10).mean(axis=1)
+            for channel in channels.values())]) for channels in (record.inputs, record.outputs))
 
-    def simulated(model, u, first):
-        x, y = first, []
-        for each in u:
-            y.append(model.c @ x[:, 0] + model.d @ each)
-            x = model.a @ x + (model.b @ each)[:, None]
-        return np.array(y)
+    def runs(a, c, u):
+        """Return what each entry of first state, B and D adds to a run, shape (n, p, entries)."""
+        order, inputs = len(a), u.shape[1]
+        x = np.eye(order, order * (1 + inputs))
+        found = np.empty((len(u), len(c), x.shape[1] + len(c) * inputs))
+        for k, each in enumerate(u):
+            found[k] = np.column_stack([c @ x, np.kron(np.eye(len(c)), each)])
+            x = a @ x
+            x[:, order:] += np.kron(np.eye(order), each)
+        return found
+
+    def model_of(order, count):
+        frame = pandas.DataFrame(np.column_stack([u, shown])[:count])
+        names = list(frame.columns)
+        found = NFourSID(frame, names[u.shape[1]:], names[:u.shape[1]], num_block_rows=20)
+        found.subspace_identification()
+        model = found.system_identification(rank=order)[0]
+        # Kept from growing; then the run is fitted, which is linear in all but a and c.
+        speeds, vectors = np.linalg.eig(model.a)
+        speeds /= np.maximum(1.0, np.abs(speeds))
+        a = (vectors * speeds @ np.linalg.inv(vectors)).real
+        entries = runs(a, model.c, u[:count])
+        return a, model.c, np.linalg.lstsq(entries.reshape(-1, entries.shape[2]),
+                                           shown[:count].ravel(), rcond=None)[0]
 
     t, u, y = sampled(parts[0][0])
     known = int(np.searchsorted(t, min(parts[0][2], t[-1])))
     size = y[:known].std(axis=0)
-
-    def model_of(order, count):
-        frame = pandas.DataFrame(np.column_stack([u, (y - y[0]) / size])[:count])
-        frame.columns = [*(f'u{k}' for k in range(u.shape[1])), *(f'y{k}' for k in range(len(size)))]
-        found = NFourSID(frame, list(frame.columns[u.shape[1]:]), list(frame.columns[:u.shape[1]]),
-                         num_block_rows=15)
-        found.subspace_identification()
-        model = found.system_identification(rank=order)[0]
-        # The state at the beginning by least squares: a run depends on it linearly.
-        free = simulated(model, u[:count], np.zeros((order, 1)))
-        modes = np.stack([simulated(model, 0.0 * u[:count], unit[:, None])
-                          for unit in np.eye(order)], axis=-1)
-        target = ((y - y[0]) / size)[:count] - free
-        first = np.linalg.lstsq(modes.reshape(-1, order), target.ravel(), rcond=None)[0]
-        return model, first[:, None]
-
-    best = None
-    with np.errstate(all='ignore'):
-        for order in range(2, 13):
-            # Chosen by one run of the last 30 % of what is fitted, which the trial does not see.
-            cut = int(0.7 * known)
-            model, first = model_of(order, cut)
-            missed = (simulated(model, u[:known], first) - ((y - y[0]) / size)[:known])[cut:]
-            error = np.nan_to_num(np.mean(missed**2), nan=np.inf)
-            best = min(best, (error, order)) if best else (error, order)
-        model, first = model_of(best[1], known)
-        predictions = []
-        for record, *_ in parts:
-            t, u, y_of = sampled(record)
-            run = simulated(model, u, first) * size + y_of[0]
-            predictions.append({name: np.interp(channel.t, t + 0.5 * case.step, run[:, k])
-                                for k, (name, channel) in enumerate(record.outputs.items())})
-    return scores(parts, predictions), best[1]
+    shown = (y - y[:known].mean(axis=0)) / size
+    cut = int(0.7 * known)
+    trials = []
+    for order in range(2, 13):  # the last 30 % of what is fitted choose
+        a, c, entries = model_of(order, cut)
+        missed = (runs(a, c, u[:known]) @ entries - shown[:known])[cut:]
+        trials.append((np.mean(missed**2), order))
+    order = min(trials)[1]
+    a, c, entries = model_of(order, known)
+    predictions = []
+    for record, *_ in parts:
+        t, u, now = sampled(record)
+        run = runs(a, c, u) @ entries * size + y[:known].mean(axis=0) + now[0] - y[0]
+        predictions.append({name: np.interp(channel.t, t + 0.45 * case.step, run[:, k])
+                            for k, (name, channel) in enumerate(record.outputs.items())})
+    return scores(parts, predictions), order

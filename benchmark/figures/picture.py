@@ -1,7 +1,7 @@
 # Copyright 2026 The timo_sim authors
 # SPDX-License-Identifier: Apache-2.0
 
-"""Draw the arm in the paper's scene: `make picture` writes what README.md shows."""
+"""Draw the arm in the paper's scene, and signs: `make picture` writes README.md's and fit.md's."""
 
 import matplotlib.pyplot as plt
 import numpy as np
@@ -20,6 +20,7 @@ def main():
     """Draw the arm beside the reference, the plot of README's first script, and an animation."""
     parser(__spec__, __doc__).parse_args()
     _draw_arm()
+    _draw_signs()
     run = timo_sim.simulate(timo_sim.load_scene('paper', {'model.modes': 5}), 10.0)
     run.plot().savefig(ROOT / 'doc' / 'run.png', dpi=80)
     animate([track_of_run(timo_sim.simulate(timo_sim.load_scene('paper'), 4.0), 'paper')],
@@ -72,6 +73,62 @@ def _draw_arm():
     time.legend(loc='upper right', ncols=2, fontsize=11)
     figure.savefig(ROOT / 'doc' / 'arm.png', dpi=100)
     print(f'wrote doc/arm.png; largest difference in w(l): {largest:.2f} um')
+
+
+def _draw_signs():
+    """Draw a bent arm with what is measured of it; all of it is positive, and so is every sign."""
+    shaft = np.radians(25.0)
+    run = timo_sim.simulate(timo_sim.load_scene('paper', {
+        'motor.shaft': 'locked', 'initial.shaft': shaft, 'initial.equilibrium': True,
+        'carrier.held': 'both', 'end_effector.mass': 0.0, 'end_effector.inertia': 0.0,
+        'load': {}, 'load.tip_force_y.piecewise': {'time': [0.0], 'value': [110.0]}}), 0.01)
+    line = np.stack([run.position(x)[0] for x in np.linspace(0.0, LENGTH, 41)])
+    across = np.gradient(line, axis=0) @ [[0.0, 1.0], [-1.0, 0.0]]
+    across *= 0.035 / np.linalg.norm(across, axis=1)[:, None]
+    root, tip = line[0], line[-1]
+    along = np.array([np.cos(shaft), np.sin(shaft)])
+    foot = root + along * ((tip - root) @ along)
+    end = np.arctan2(*(line[-1] - line[-2])[::-1])
+
+    figure, axes = plt.subplots(figsize=(10, 6.3), layout='constrained')
+    axes.fill(*np.concatenate([line + across, (line - across)[::-1]]).T, color='#cfe3f1')
+    axes.plot(*line.T, color=BLUE, lw=1)
+    axes.plot(*(line - across)[1:7].T, color=RED, lw=6, solid_capstyle='butt')
+    axes.plot(*np.array([root, root + [2.0, 0.0]]).T, color=GREY, lw=0.8)
+    axes.plot(*np.array([root, root + 2.15 * along]).T, color=GREY, lw=0.8, ls='--')
+    axes.plot(*np.array([root, tip]).T, color=GREY, lw=0.8, ls=':')
+    axes.plot(*np.array([tip, tip + 0.45 * along]).T, color=GREY, lw=0.8, ls='--')
+    axes.plot(*np.array([tip, tip + 0.45 * np.array([np.cos(end), np.sin(end)])]).T,
+              color=BLUE, lw=1)
+    axes.plot(*root, 'o', color='k', ms=15)
+
+    def arc(centre, radius, begin, stop, name, colour='k', turn=0.5):
+        """Draw an arrow along an arc, counterclockwise, and its name."""
+        angles = np.linspace(begin, stop, 30)
+        points = centre + radius * np.column_stack([np.cos(angles), np.sin(angles)])
+        axes.plot(*points.T, color=colour, lw=1.5)
+        axes.annotate('', points[-1], points[-4], arrowprops={
+            'arrowstyle': '-|>', 'color': colour, 'shrinkA': 0, 'shrinkB': 0})
+        middle = begin + turn * (stop - begin)
+        axes.text(*(centre + (radius + 0.05) * np.array([np.cos(middle), np.sin(middle)])), name,
+                  color=colour, va='center')
+
+    seen = np.arctan2(*(tip - root)[::-1])
+    arc(root, 1.35, 0.0, shaft, 'shaft')
+    arc(root, 1.0, shaft, seen, 'tip_angle')
+    arc(tip, 0.4, shaft, end, 'tip_rotation')
+    arc(root, 0.2, -0.9, 1.2, '')
+    axes.text(*(root + [0.0, -0.28]), 'torque, voltage', ha='center')
+    axes.annotate('', tip, foot, arrowprops={'arrowstyle': '-|>', 'color': BLUE, 'lw': 2,
+                                             'shrinkA': 0, 'shrinkB': 0})
+    axes.text(*(0.5 * (tip + foot) + [0.04, 0.0]), 'tip_transverse,\ntip_acceleration', color=BLUE)
+    axes.annotate('root_strain: gauge on this side,\nstretched is positive', (line - across)[4],
+                  root + [0.55, -0.3], color=RED, arrowprops={'arrowstyle': '-', 'color': RED})
+    axes.text(*(root + [2.02, 0.0]), 'x', va='center')
+    axes.set(aspect='equal', xlim=(-0.3, 2.5), ylim=(-0.35, 1.4))
+    axes.axis('off')
+    figure.savefig(ROOT / 'doc' / 'signs.png', dpi=80)
+    print('wrote doc/signs.png')
 
 
 if __name__ == '__main__':
