@@ -171,22 +171,23 @@ def lumped(t, inputs, values):
     """
     Return driven angle and deflection of the textbook's model at equal steps, shape (n, 2) [rad].
 
-    `inputs` are torques on the shaft, one for each step [N m]; `values` are spring [N m/rad],
+    `inputs` are torques on shaft and tip, for each step [N m]; `values` are spring [N m/rad],
     inertias of shaft and arm [kg m2], friction of the shaft and damping of the spring
     [N m s/rad], and the first angle of the shaft [rad]. For a cart they are forces and masses.
     """
     spring, shaft, arm, friction, damping, first = values
-    a = np.zeros((5, 5))
+    a = np.zeros((6, 6))
     a[0, 2] = a[1, 3] = 1.0
     a[2, 1:5] = spring / shaft, -friction / shaft, damping / shaft, 1.0 / shaft
     a[3] = -a[2]
     a[3, 1] -= spring / arm
     a[3, 3] -= damping / arm
+    a[3, 5] = 1.0 / arm
     step = expm(a * (t[1] - t[0]))
-    state, found = np.array([first, 0.0, 0.0, 0.0, 0.0]), np.empty((len(t), 2))
-    for k, torque in enumerate(inputs):
+    state, found = np.array([first, 0.0, 0.0, 0.0, 0.0, 0.0]), np.empty((len(t), 2))
+    for k, torques in enumerate(inputs):
         found[k] = state[:2]
-        state[4] = torque
+        state[4:] = torques
         state = step @ state
     return found
 
@@ -198,24 +199,29 @@ def textbook(case, parts):
         return None
     shaft, tip = parts[0][0].outputs
     size = {name: np.std(channel.values) for name, channel in parts[0][0].outputs.items()}
-    # Of unit inertia of the shaft, because only ratios show; those of the arm and its frequency
-    # begin with several guesses, against local minima.
-    force = max(np.abs(parts[0][0].inputs[drive].values))
+    # Of unit inertia of the shaft, because only ratios show. Frequencies begin with several
+    # guesses, against local minima.
+    largest = {name: np.abs(channel.values).max() for name, channel in parts[0][0].inputs.items()}
+
+    def held(record, name, t):
+        channel = record.inputs[name]
+        place = np.searchsorted(channel.t, t, side='right') - 1
+        return channel.values[np.maximum(place, 0)] / largest[name]
 
     def predicted(x, record, end=np.inf):
-        spring, arm, friction, damping, gain, sensor = np.exp(x[:6].clip(-20.0, 20.0))
-        bias, late, delay, level, first = x[6:]
+        spring, arm, friction, damping, gain, sensor, push = np.exp(x[:7].clip(-20.0, 20.0))
+        bias, late, delay, level, first = x[7:]
         t = np.arange(0.0, min(end, record.duration) + 0.002, 0.002)
-        channel = record.inputs[drive]
-        place = np.searchsorted(channel.t, t - late, side='right') - 1
-        found = lumped(t, gain * (channel.values[np.maximum(place, 0)] / force + bias),
-                       [spring, 1.0, arm, friction, damping, first])
+        torques = np.zeros((len(t), 2))
+        torques[:, 0] = gain * (held(record, drive, t - late) + bias)
+        if 'tip_torque' in record.inputs:
+            torques[:, 1] = push * held(record, 'tip_torque', t)
+        found = lumped(t, torques, [spring, 1.0, arm, friction, damping, first])
         t_tip = record.outputs[tip].t - delay
         bent = sensor * np.interp(t_tip, t, found[:, 1]) + level
-        moved = record.outputs[shaft].t
         if tip == 'tip_x':
             bent += np.interp(t_tip, t, found[:, 0])
-        return {shaft: np.interp(moved, t, found[:, 0]), tip: bent}
+        return {shaft: np.interp(record.outputs[shaft].t, t, found[:, 0]), tip: bent}
 
     def residuals(x, end):
         record = parts[0][0]
@@ -225,11 +231,12 @@ def textbook(case, parts):
             for name, channel in record.outputs.items()]).clip(-1e3, 1e3)
 
     best, half = None, min(parts[0][2], parts[0][0].duration)
-    for hertz in (1.0, 2.0, 4.0, 8.0):
-        x = np.log([(2 * np.pi * hertz)**2, 2.0, 10.0, 0.1, 100.0, size[tip] / 0.05])
-        x = np.concatenate([x, [0.0, 0.0, 0.0, 0.0, parts[0][0].outputs[shaft].values[0]]])
+    for hertz in np.geomspace(0.5, 12.0, 10):
+        x = np.log([(2 * np.pi * hertz)**2, 2.0, 10.0, 0.1, 100.0, size[tip] / 0.05, 10.0])
+        x = np.concatenate([x, [0.0, 0.0, 0.0], [parts[0][0].outputs[name].values[0]
+                                                 for name in (tip, shaft)]])
         for end in (0.5 * half, half):
-            found = least_squares(residuals, x, args=(end,), x_scale='jac', max_nfev=60)
+            found = least_squares(residuals, x, args=(end,), x_scale='jac', max_nfev=40)
             x = found.x
         best = found if best is None or found.cost < best.cost else best
     return scores(parts, [predicted(best.x, record) for record, *_ in parts])
@@ -255,8 +262,8 @@ def black_box(case, parts):
             x[:, order:] += np.kron(np.eye(order), each)
         return found
 
-    def model_of(order, count):
-        frame = pandas.DataFrame(np.column_stack([u, shown])[:count])
+    def model_of(order):
+        frame = pandas.DataFrame(np.column_stack([u, shown])[:known])
         names = list(frame.columns)
         found = NFourSID(frame, names[u.shape[1]:], names[:u.shape[1]], num_block_rows=20)
         found.subspace_identification()
@@ -265,21 +272,20 @@ def black_box(case, parts):
         speeds, vectors = np.linalg.eig(model.a)
         speeds /= np.maximum(1.0, np.abs(speeds))
         a = (vectors * speeds @ np.linalg.inv(vectors)).real
-        entries = runs(a, model.c, u[:count])
+        entries = runs(a, model.c, u[:known])
         return a, model.c, np.linalg.lstsq(entries.reshape(-1, entries.shape[2]),
-                                           shown[:count].ravel(), rcond=None)[0]
+                                           shown[:known].ravel(), rcond=None)[0]
 
     t, u, y = sampled(parts[0][0])
     known = int(np.searchsorted(t, min(parts[0][2], t[-1])))
     size = y[:known].std(axis=0)
     shown = (y - y[:known].mean(axis=0)) / size
-    cut = int(0.7 * known)
     trials = []
-    for order in range(2, 13):  # chosen by a run of all that is fitted
-        a, c, entries = model_of(order, cut)
-        trials.append((np.mean((runs(a, c, u[:known]) @ entries - shown[:known])**2), order))
-    order = min(trials)[1]
-    a, c, entries = model_of(order, known)
+    for order in range(2, 13):
+        a, c, entries = model_of(order)
+        error = np.mean((runs(a, c, u[:known]) @ entries - shown[:known])**2)
+        trials.append((error, order, a, c, entries))
+    _, order, a, c, entries = min(trials, key=lambda trial: trial[0])
     predictions = []
     for record, *_ in parts:
         t, u, now = sampled(record)
