@@ -115,7 +115,7 @@ benchmark-fit: $(VENV)/.run ## fit made records for doc/fit.md, a quarter of an 
 benchmark-latency: $(VENV)/.benchmark ## measure the time from a command to its effect
 	@$(BIN)/python -m benchmark.speed.latency
 
-real-arm: $(VENV)/.plot ## fill doc/real_arm.md from the records in DATA=folder
+real-arm: $(VENV)/.benchmark ## fill doc/real_arm.md from the records in DATA=folder
 	@$(BIN)/python -m benchmark.accuracy.real_arm
 
 observer: $(VENV)/.plot ## fill the part of doc/control.md on observers, DATA=folder as of real-arm

@@ -4,9 +4,14 @@
 
 """Records in files and logs, and the command `timo_sim fit`."""
 
+from pathlib import Path
+import re
+
 from click.testing import CliRunner
 import numpy as np
 import pytest
+from rosbags.rosbag2 import StoragePlugin, Writer
+from rosbags.typesys import get_typestore, Stores
 import yaml
 
 import timo_sim
@@ -181,6 +186,57 @@ def test_structures_of_simulink(tmp_path):
     savemat(tmp_path / 'b.mat', {'name': 'timeseries'})
     with pytest.raises(timo_sim.ParameterError, match='b.mat has no arrays of numbers'):
         timo_sim.read_record(tmp_path / 'b.mat', NAMED)
+
+
+def test_mappings_of_the_page(tmp_path):
+    """Each mapping of doc/fit.md reads the rig that its text describes."""
+    from scipy.io import savemat
+    degrees, bend = np.degrees(ANGLE), 0.01 * TORQUE
+    page = (Path(__file__).resolve().parents[1] / 'doc/fit.md').read_text(encoding='utf-8')
+    rows = np.column_stack([1e3 * T, 255.0 / 12.0 * TORQUE, ANGLE * 4 * 1024 * 70 / (2.0 * np.pi),
+                            bend / 9.80665])
+    np.savetxt(tmp_path / 'rig.csv', rows, delimiter=',', header='ms,pwm,counts,acc', comments='')
+    savemat(tmp_path / 'rig.mat', {'data': np.column_stack([T, TORQUE, degrees, bend / 1.35e-4])})
+    signals = np.zeros(2, dtype=[('values', object)])
+    signals['values'] = [degrees[:, np.newaxis], np.degrees(bend)[:, np.newaxis]]
+    savemat(tmp_path / 'rig_simulink.mat', {
+        'u': {'time': T[:, np.newaxis], 'signals': {'values': TORQUE[:, np.newaxis]}},
+        'scope': {'time': T[:, np.newaxis], 'signals': signals}})
+    mappings = dict(re.findall(r'```yaml\n# (\S+): .*\n((?:.*\n)*?)```', page))
+    assert list(mappings) == ['rig.csv', 'rig.mat', 'rig_simulink.mat']
+    for name, text in mappings.items():
+        record = timo_sim.read_record(tmp_path / name, yaml.safe_load(text))
+        shaft, tip = record.outputs.values()
+        # Factors of the page have five digits or more.
+        np.testing.assert_allclose(record.inputs['voltage'].values, TORQUE, rtol=2e-5)
+        np.testing.assert_allclose(shaft.values, ANGLE, rtol=2e-5)
+        np.testing.assert_allclose(tip.values, bend, rtol=1e-9)
+        np.testing.assert_allclose(shaft.t, T, atol=1e-12)
+
+
+def test_a_bag_of_a_rig(tmp_path):
+    """A bag whose topics are named as those of the node, by another writer, as doc/fit.md says."""
+    store = get_typestore(Stores.ROS2_JAZZY)
+    float64, states = 'std_msgs/msg/Float64', 'sensor_msgs/msg/JointState'
+    stamp, header = (store.types[f'{name}'] for name in (
+        'builtin_interfaces/msg/Time', 'std_msgs/msg/Header'))
+    with Writer(tmp_path / 'rig', version=9, storage_plugin=StoragePlugin.MCAP) as bag:
+        topics = {name: bag.add_connection(f'/timo_sim/{name}', kind, typestore=store)
+                  for name, kind in (('motor_torque', float64), ('encoder', states))}
+        for t, torque, angle in zip(T, TORQUE, ANGLE):
+            ns = 10**9 + round(1e9 * t)
+            for name, kind, message in (
+                    ('motor_torque', float64, store.types[float64](torque)),
+                    ('encoder', states, store.types[states](
+                        header(stamp(*divmod(ns, 10**9)), ''), ['shaft'], np.array([angle]),
+                        np.zeros(0), np.zeros(0)))):
+                bag.write(topics[name], ns, store.serialize_cdr(message, kind))
+    scene = timo_sim.load_scene('paper')
+    record = read_log(tmp_path / 'rig', scene)[1]
+    assert np.array_equal(record.outputs['shaft'].values, ANGLE)
+    # The last command comes with the last angle, and so acts on none.
+    assert np.array_equal(record.inputs['torque'].values, TORQUE[:-1])
+    np.testing.assert_allclose(record.inputs['torque'].t, T[:-1], atol=scene.step)
 
 
 @pytest.mark.parametrize('unit', ['s', 'ms', 'us', 'ns'])
