@@ -463,6 +463,7 @@ def fit(record: str, more: tuple[str, ...], scene: str | None, free: tuple[str, 
     from pathlib import Path
 
     from timo_sim.fitting.result import fit, read_scene_and_records
+    from timo_sim.log.tables import write_table
     from timo_sim.scene.parameters import ModelWarning
     from timo_sim.scene.scene import load_scene
     if png:
@@ -485,10 +486,10 @@ def fit(record: str, more: tuple[str, ...], scene: str | None, free: tuple[str, 
         click.echo(f'{found.save(output)} is written')
     if further:
         best, *others = found.next_input()
-        click.echo(f'{best.quantity} of the next record, and what it leaves of the interval of '
-                   f'{best.widest}: ' + ', '.join(f'{each.kind} {each.ratios[each.widest]:.0%}'
-                                                  for each in (best, *others)))
-        best.save(further)
+        click.echo(f'the interval of {best.widest} is the widest; what is left of it with another '
+                   f'record of {best.quantity}: ' + ', '.join(
+                       f'{each.kind} {each.ratios[each.widest]:.0%}' for each in (best, *others)))
+        write_table({'time_s': best.t, best.quantity: best.values}, Path(further))
         click.echo(f'{further} is written: {best.kind}')
     if png:
         write(found.plot(), png)

@@ -19,8 +19,7 @@ from timo_sim.extras import optional
 from timo_sim.fitting.next import next_inputs, NextInput
 from timo_sim.fitting.record import read_log, read_record, Record, SUFFIXES, unit_of
 from timo_sim.fitting.problem import (
-    covariance, initial_states, NORMAL, Problem, r_squared, unidentified_combinations, whiteness,
-    Window)
+    covariance, NORMAL, Problem, r_squared, unidentified_combinations, whiteness)
 from timo_sim.fitting.search import LOSSES, NUMERICAL, Search
 from timo_sim.runs.run import Run
 from timo_sim.scene.files import whole_file
@@ -63,28 +62,17 @@ class Errors:
     r_squared: float
     hold_out_rms: float         # NaN without a part that is held out
     hold_out_r_squared: float
-    residual_rms: float         # of the fit itself, whose windows have initial states of their own;
-                                # NaN if all of the record was held out
+    residual_rms: float         # of the fit itself, whose windows have initial states of their own
     whiteness: float            # probability that white residuals of it are as correlated
 
 
 @dataclass(frozen=True, repr=False)
 class Prediction:
     """
-    What a fitted scene predicts of a record.
+    A record and what a fitted scene predicts of it by one run from its beginning.
 
-    Attributes
-    ----------
-    record : Record
-    errors : dict of Errors
-        By output.
-    run : Run or None
-        The whole record, predicted by one run from its beginning; None if that diverges.
-    predicted : dict of ndarray, shape (n,)
-        By output, what this run shows at the record's samples.
-    until : float
-        Time from which on the record was held out [s]; 0 if that was all of it.
-
+    `errors` and `predicted`, (n,) at the record's samples, are by output; `run` is None if it
+    diverges. What is later than `until` [s] was held out.
     """
 
     record: Record
@@ -176,12 +164,9 @@ class Fit(Prediction):
     others : list of dict
         Other sets of values, by name, with which the records are fitted as well.
     more : list of Prediction
-        Of further records, at the end of those that were held out.
-    search : Search
-        With the coordinates of the minimum.
-    information : ndarray, shape (p, p)
-        On the estimates, in coordinates of the search: the inverse of the covariance, if the
-        residuals are white.
+        Of further records, with those that were held out at the end.
+    search, information : Search, ndarray of shape (p, p)
+        With the coordinates of the minimum; the inverse of their covariance for white residuals.
 
     """
 
@@ -383,30 +368,27 @@ def fit(scene: SceneLike | None, record: RecordLike | Sequence[RecordLike], free
         doubts.append(f'the run depends on {", ".join(jumps)} in jumps{cause}, so the intervals '
                       'may be too small: try a shorter window, or friction with a coulomb_speed')
     doubts += _find_doubts(estimates)
-    known = {free.name: free.value(at) for free, at in zip(search.free, x)}
-    fitted = problems[0].scene_of(search.values(x, 0), states[0])
-    rows = [(k, name) for k, name, _ in search.series()]
-    for k, each in enumerate([*measured, *held]):
-        if k < len(problems):
-            problem, values = problems[k], search.values(x, k)
-            deviations, own = search.deviations[k], {
-                name: [r for at, r in zip(rows, residuals) if at == (k, name)]
-                for name in each.outputs}
-            initial = states[[at[0] for at in search.windows].index(k)]
-        else:
-            problem = Problem(start, each, _names_for(each, [*measured, each], free), {}, 0.0)
-            values = {free.name: known.get(free.name, free.start) for free in problem.free}
-            own, deviations, initial = {}, {}, None
-            if 'initial.shaft' in values:  # as it was measured
-                problem.windows = [Window(0.0, 0.0, ('initial.shaft',))]
-                initial = {free.name: free.start for free in initial_states(problem, values)[0]}
-        place = f' (record {k + 1})' if len(measured) + len(held) > 1 else ''
-        found, told = _predict(problem, values, initial, own, deviations)
+    series: dict[tuple[int, str], list[np.ndarray]] = {}
+    for (k, name, _), found in zip(search.series(), residuals):
+        series.setdefault((k, name), []).append(search.deviations[k][name] * found)
+    initial = dict(reversed([(k, state) for (k, _), state in zip(search.windows, states)]))
+    fitted = problems[0].scene_of(search.values(x, 0), initial[0])
+    shared = {each.name: each.value(at) for each, at in zip(search.free, x) if not each.is_own}
+    for each in held:
+        scene = start
+        if 'shaft' in each.outputs and {'initial', 'initial.shaft'} & {*free}:  # as it was seen
+            scene = start.vary({'initial.shaft': float(each.outputs['shaft'].values[0])})
+        problems.append(Problem(scene, each, _names_for(each, measured, shared), {}, 0.0))
+    for k, problem in enumerate(problems):
+        values = search.values(x, k) if k < len(measured) else {
+            each.name: shared[each.name] for each in problem.free}
+        found, told = _predict(problem, values, initial.get(k), {
+            name: series.get((k, name), []) for name in problem.record.outputs})
         predictions.append(found)
-        if k < len(problems):
-            told = [*_possible_causes(found.errors, search.against[k],
-                                      {} if white or k else friction), *told]
-        doubts += [f'{each}{place}' for each in told]
+        if k < len(measured):
+            told[:0] = _possible_causes(found.errors, search.against[k],
+                                        {} if white or k else friction)
+        doubts += [f'{each} (record {k + 1})' if len(problems) > 1 else each for each in told]
     # The derivatives by the parameters that initial states of windows cannot make up for.
     whole = np.concatenate(jacobians)
     q, _ = np.linalg.qr(whole[:, count:])
@@ -438,16 +420,12 @@ def read_scene_and_records(
         held: Sequence[RecordLike]) -> tuple[Scene, list[Record], list[Record]]:
     """Return the Scene and the Records of a fit from what `fit` takes for them."""
     fitted = [record] if isinstance(record, RecordLike) else [*record]
-    every = [*fitted, *held]
-    if not fitted:
-        raise ParameterError('a fit needs a record, got none')
+    every, found = [*fitted, *held], []
     mappings = [*mapping] if isinstance(mapping, (list, tuple)) else [mapping] * len(every)
-    if len(mappings) != len(every):
-        raise ParameterError('there must be one mapping for all records or one for each, '
-                             f'{len(every)}, got {len(mappings)}')
-    found = []
-    for each, own in zip(every, mappings):
-        # The scene of the first log is that of all.
+    if not fitted or len(mappings) != len(every):
+        raise ParameterError('a fit needs a record, and one mapping for all or one for each, got '
+                             f'{len(fitted)} and {len(mappings)}, with {len(held)} held out')
+    for each, own in zip(every, mappings):  # the scene of the first log is that of all
         scene, measured = _read(scene, each, own)
         found.append(measured)
     return scene, found[:len(fitted)], found[len(fitted):]
@@ -490,7 +468,7 @@ def _possible_causes(errors, against, friction):
                    'it')
 
 
-def _predict(problem, values, initial, residuals, deviations):
+def _predict(problem, values, initial, residuals):
     """Return the Prediction of a problem with these values, and what is doubtful of it."""
     doubts, run, predicted, errors = [], None, {}, {}
     fitted = problem.scene_of(values, initial)
@@ -507,11 +485,10 @@ def _predict(problem, values, initial, residuals, deviations):
             measured = channel.values[part]
             parts += [float(np.sqrt(np.mean((predicted[name][part] - measured)**2))),
                       r_squared(measured, predicted[name][part])] if enough else [math.nan] * 2
-        own = residuals.get(name, [np.full(1, math.nan)])
-        size = math.sqrt(np.mean(np.concatenate(own)**2))
-        errors[name] = Errors(*parts, deviations.get(name, math.nan) * size,
-                              min([whiteness(each) for each in own if len(each) > 4],
-                                  default=math.nan))
+        own = residuals[name]
+        size = math.sqrt(np.mean(np.concatenate(own)**2)) if own else math.nan
+        errors[name] = Errors(*parts, size, min(
+            [whiteness(each) for each in own if len(each) > 4], default=math.nan))
         if channel.noise and errors[name].residual_rms > _MAX_NOISE_RATIO * channel.noise:
             doubts.append(
                 f'{name} is off by {errors[name].residual_rms / channel.noise:.1f} times its '

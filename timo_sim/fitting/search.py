@@ -44,30 +44,24 @@ _MAD = 1.4826  # standard deviations in a median absolute deviation
 
 class Search:
     """
-    A search for the least sum of squares of several problems; x are the coordinates of all free.
+    A search for the least sum of squares of several problems; x are the coordinates of all `free`.
 
-    Problems share what is free, but biases, delays and initial states, which each has of its own.
-
-    Attributes
-    ----------
-    free : list of Free
-        In the order of x; those of one of several records end in `(record 1)`, and so on.
-    places : list of ndarray of int
-        For each problem, where its own `free` are in x.
-    deviations : list of dict
-        For each problem, standard deviations of its sensors by output.
-    against : list of dict
-        For each problem, by output, the least correlation with the first run, at most 0.
-    others : list of dict
-        Values, by name, of other minima which fit as well.
-    tried : int
-        How many starts were tried.
-
+    Problems share these, but biases, delays and initial states, which each has of its own:
+    `places` has for each problem where its `free` are in x. `deviations` and `against` have for
+    each problem, by output, the standard deviation of the sensor, and the least correlation with
+    the first run. `tried` starts led to x and to `others` that fit as well, values by name.
     """
 
     def __init__(self, problems: Sequence[Problem], loss: str) -> None:
         self.problems, self.loss = problems, loss
-        self.free, self.places = _share(problems)
+        names = [[f'{free.name} (record {k})' if free.is_own and len(problems) > 1 else free.name
+                  for free in each.free] for k, each in enumerate(problems, 1)]
+        found: dict[str, Free] = {}
+        for problem, own in zip(problems, names):
+            for free, name in zip(problem.free, own):
+                found.setdefault(name, replace(free, name=name))
+        self.free, order = [*found.values()], [*found]
+        self.places = [np.array([order.index(name) for name in own]) for own in names]
         self.deviations = [{
             name: channel.noise or _FIRST_DEVIATION * float(np.std(
                 channel.values[channel.t <= problem.until])) or 1.0
@@ -79,10 +73,12 @@ class Search:
         self._low = np.array([each.coordinate(each.low) for each in self.free])
         self._high = np.array([each.coordinate(each.high) for each in self.free])
         self.windows = [(k, window) for k, each in enumerate(problems) for window in each.windows]
-        self._states = []  # of each window, the Free parameters of its initial state
+        # Of each window, the Free parameters of its initial state.
+        self._states: list[list[Free]] = [[] for _ in self.windows]
         self.against = [self._check_start(k, problem) for k, problem in enumerate(problems)]
         self._prior = np.zeros(0)
-        self.others, self.tried = [], 1
+        self.others: list[dict[str, float]] = []
+        self.tried = 1
 
     def run(self, starts: int | None) -> None:
         """Find x and the standard deviations of the sensors; `starts` is as for `fit`."""
@@ -103,13 +99,12 @@ class Search:
                 break
         least = self._solve(_TIGHT)
         self._estimate_deviations()
-        best, jacobian = self.x, None
+        best = self.x
         for x in ends:
-            cost = self._solve(_TIGHT, x)
-            jacobian = self.jacobian(best, _WIDE) if jacobian is None else jacobian
-            # Minima that differ where the record tells nothing are one.
-            if cost < _SAME * least and 0.5 * np.sum((jacobian @ (self.x - best))**2) > (
-                    _SAME - 1.0) * len(jacobian):
+            cost, moved = self._solve(_TIGHT, x), self.x - best
+            # Minima that differ only where the record tells nothing are one.
+            linear = 0.5 * np.sum((self.jacobian(best, _WIDE, False) @ moved)**2)
+            if cost < _SAME * least < least + linear:
                 self.others.append({free.name: free.value(at)
                                     for free, at in zip(self.free, self.x)})
         self.x = best
@@ -118,19 +113,17 @@ class Search:
         """Move x to the best minimum from several starts; return the others that are as good."""
         whole, ends, parts = self.windows, [], []
         first = [(k, Window(0.0, _FIRST_PART * window.end, ())) for k, window in whole]
-        for number, x in enumerate(self._starts()):
-            self.tried = number + 1
+        for self.tried, x in enumerate(self._starts(starts or _MAX_STARTS), 1):
             self.windows = first
             cost = self._solve(_LOOSE, x)
-            new = all(abs(cost - each) > (_SAME - 1.0) * each for each in parts)
+            self.windows, known = whole, any(abs(cost - each) <= (_SAME - 1.0) * each
+                                             for each in parts)
             parts.append(cost)
-            self.windows = whole
-            if new and cost <= _WORTHWHILE * min(parts):
-                ends.append((self._solve(_LOOSE, self.x), number, self.x))
-            best = min(ends)
-            if number + 1 >= (starts or (_MAX_STARTS if self._is_doubtful(best[2], parts) else 1)):
+            if not known and cost <= _WORTHWHILE * min(parts):
+                ends.append((self._solve(_LOOSE, self.x), self.tried, self.x))
+                ends.sort()
+            if starts is None and not self._is_doubtful(ends[0][2], parts):
                 break
-        ends = sorted(ends)
         self.x = ends[0][2]
         return [x for cost, _, x in ends[1:] if cost < _WORTHWHILE * ends[0][0]]
 
@@ -143,21 +136,20 @@ class Search:
             and whiteness(r) < _HARDLY_WHITE
             for r, (k, name, measured) in zip(self._split_rows(self._residuals(x)), self.series()))
 
-    def _starts(self):
-        """Yield x of the first guess, of what each record suggests, and of points around that."""
+    def _starts(self, count):
+        """Yield x of the first guess, of what records suggest, and of points around that."""
         guess = around = self.x
         yield guess
-        for k, problem in reversed([*enumerate(self.problems)]):
+        for k, problem in enumerate(self.problems[:count - 1]):
             around = guess.copy()
             found = from_record(problem, self.values(guess, k))
             around[self.places[k]] = [free.coordinate(found[free.name]) for free in problem.free]
             yield around
         # A Latin hypercube: each parameter has each of its values once.
-        random, count = np.random.default_rng(0), _MAX_STARTS
-        widths = np.array([math.log(_SPREAD) if free.log else 0.0 for free in self.free])
-        grid = np.linspace(-1.0, 1.0, count)
-        for share in np.stack([random.permutation(grid) for _ in widths], axis=1):
-            yield around + widths * share
+        random, grid = np.random.default_rng(0), np.linspace(
+            -math.log(_SPREAD), math.log(_SPREAD), max(count - 1 - len(self.problems), 0))
+        for shift in np.stack([random.permutation(grid) for _ in guess], axis=1):
+            yield around + np.where([free.log for free in self.free], shift, 0.0)
 
     def _check_start(self, k, problem):
         values, against = self.values(self.x, k), {}
@@ -193,12 +185,9 @@ class Search:
 
     def states(self, x: np.ndarray) -> list[dict[str, float]]:
         """Return the values of the initial state of each window, by name."""
-        first, states = len(self.free), []
-        for every in self._states or [[]] * len(self.windows):
-            states.append({each.name: each.value(part)
-                           for each, part in zip(every, x[first:first + len(every)])})
-            first += len(every)
-        return states
+        coordinates = iter(x[len(self.free):])
+        return [{each.name: each.value(next(coordinates)) for each in every}
+                for every in self._states]
 
     def series(self) -> list[tuple[int, str, np.ndarray]]:
         """Return the series of residuals: problem, output, and what was measured."""
@@ -322,15 +311,3 @@ class Search:
                 if fall > 0.0 and fall**2 > found.get(name, (0.0, 0.0))[0] * power * (left @ left):
                     found[name] = fall**2 / (power * (left @ left)), fall / power * each * size
         return found
-
-
-def _share(problems):
-    """Return the Free parameters of all problems, and where those of each are among them."""
-    found: dict[str, Free] = {}
-    names = [[free.name if len(problems) == 1 or not free.is_own else f'{free.name} (record {k})'
-              for free in problem.free] for k, problem in enumerate(problems, 1)]
-    for problem, own in zip(problems, names):
-        for free, name in zip(problem.free, own):
-            found.setdefault(name, replace(free, name=name))
-    order = [*found]
-    return [*found.values()], [np.array([order.index(name) for name in own]) for own in names]
