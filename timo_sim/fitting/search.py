@@ -32,12 +32,13 @@ _SETTLED_CHANGE = 0.01  # relative change of standard deviations that counts as 
 _PRIOR_DEVIATION = 10.0  # standard deviation of initial states of windows, in their scales
 # Sizes of dry friction that are tried, as shares of the force that accelerates the free body.
 _FRICTION_SHARES = 0.01, 0.1, 1.0
-_SAME = 1.01  # ratio of sums of squares below which they are the same
+_SAME = 0.01  # relative difference of sums of squares below which they are the same
 _WORTHWHILE = 3.0  # ratio to the least, below which a minimum of the first part is followed
 NUMERICAL = 1e-9  # 1 - R^2 below which only numerical errors are left
 _HARDLY_WHITE = 1e-6  # probability of residuals as correlated, above which a minimum is good
-_MAX_UNEXPLAINED = 0.1  # 1 - R^2 above which other starts are tried though two agree
-_MAX_STARTS, _CERTAIN = 16, 4  # starts: at most; that lead to the same minimum
+# 1 - R^2 above which other starts are tried, if one, two or three starts have led to a minimum.
+_MAX_UNEXPLAINED = 0.05, 0.2, 0.5, math.inf
+_MAX_STARTS = 16
 _SPREAD = 6.0  # factor by which starts differ from what the record suggests
 _MAD = 1.4826  # standard deviations in a median absolute deviation
 
@@ -99,42 +100,49 @@ class Search:
                 break
         least = self._solve(_TIGHT)
         self._estimate_deviations()
-        best = self.x
+        minima = [self.x]
         for x in ends:
-            cost, moved = self._solve(_TIGHT, x), self.x - best
-            # Minima that differ only where the record tells nothing are one.
-            linear = 0.5 * np.sum((self.jacobian(best, _WIDE, False) @ moved)**2)
-            if cost < _SAME * least < least + linear:
-                self.others.append({free.name: free.value(at)
-                                    for free, at in zip(self.free, self.x)})
-        self.x = best
+            if self._solve(_TIGHT, x) - least < _SAME * least and all(
+                    self._is_apart(self.x, each, least) for each in minima):
+                minima.append(self.x)
+        self.x = minima[0]
+        self.others = [{free.name: free.value(at) for free, at in zip(self.free, x)}
+                       for x in minima[1:]]
+
+    def _is_apart(self, x, other, least):
+        """Return whether x is another minimum, and not another where the record tells nothing."""
+        linear = self.jacobian(other, _WIDE, False) @ (x - other)
+        return 0.5 * linear @ linear > _SAME * least
 
     def _try_starts(self, starts):
         """Move x to the best minimum from several starts; return the others that are as good."""
-        whole, ends, parts = self.windows, [], []
+        whole, parts, costs, ends = self.windows, [], [], []
         first = [(k, Window(0.0, _FIRST_PART * window.end, ())) for k, window in whole]
         for self.tried, x in enumerate(self._starts(starts or _MAX_STARTS), 1):
-            self.windows = first
-            cost = self._solve(_LOOSE, x)
-            self.windows, known = whole, any(abs(cost - each) <= (_SAME - 1.0) * each
-                                             for each in parts)
-            parts.append(cost)
-            if not known and cost <= _WORTHWHILE * min(parts):
-                ends.append((self._solve(_LOOSE, self.x), self.tried, self.x))
-                ends.sort()
-            if starts is None and not self._is_doubtful(ends[0][2], parts):
+            self.windows, cost = first, math.inf
+            part = self._solve(_LOOSE, x)
+            self.windows = whole
+            known = [old for old, each in zip(costs, parts) if abs(part - each) <= _SAME * each]
+            if known:
+                cost = known[0]
+            elif part <= _WORTHWHILE * min(parts, default=math.inf):
+                cost = self._solve(_LOOSE, self.x)
+                ends.append((cost, self.x))
+            parts.append(part)
+            costs.append(cost)
+            best, self.x = min(ends, key=lambda end: end[0])
+            found = sum(each <= (1.0 + _SAME) * best for each in costs)
+            if starts is None and not self._is_doubtful(found):
                 break
-        self.x = ends[0][2]
-        return [x for cost, _, x in ends[1:] if cost < _WORTHWHILE * ends[0][0]]
+        return [x for cost, x in ends if x is not self.x and cost <= (1.0 + _SAME) * best]
 
-    def _is_doubtful(self, x, parts):
-        """Return whether another start may lead to a better minimum than x."""
-        found = np.count_nonzero(np.array(parts) <= _SAME * min(parts))
-        most = NUMERICAL if found == 1 else _MAX_UNEXPLAINED
-        return found < _CERTAIN and any(
+    def _is_doubtful(self, found):
+        """Return whether x, which some starts have `found`, may not be the best minimum."""
+        most = _MAX_UNEXPLAINED[min(found, len(_MAX_UNEXPLAINED)) - 1]
+        return any(
             np.mean((r * self.deviations[k][name])**2) > most * np.var(measured)
-            and whiteness(r) < _HARDLY_WHITE
-            for r, (k, name, measured) in zip(self._split_rows(self._residuals(x)), self.series()))
+            and whiteness(r) < _HARDLY_WHITE for r, (k, name, measured) in zip(
+                self._split_rows(self._residuals(self.x)), self.series()))
 
     def _starts(self, count):
         """Yield x of the first guess, of what records suggest, and of points around that."""
