@@ -54,7 +54,7 @@ class Search:
     """
 
     def __init__(self, problems: Sequence[Problem], loss: str) -> None:
-        self.problems, self.loss = problems, loss
+        self.problems, self.loss = [*problems], loss
         names = [[f'{free.name} (record {k})' if free.is_own and len(problems) > 1 else free.name
                   for free in each.free] for k, each in enumerate(problems, 1)]
         found: dict[str, Free] = {}
