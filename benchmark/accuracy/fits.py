@@ -2,7 +2,7 @@
 # SPDX-License-Identifier: Apache-2.0
 
 """
-Fits to made records, whose truth is known: intervals, accuracy, time, outliers and windows.
+Fits to made records, whose truth is known: intervals, accuracy, time, outliers, windows, starts.
 
 `make benchmark-fit` writes doc/benchmark/fits.json, from which `make pages` fills the tables of
 doc/fit.md; `--quick` does a few records of each, to run/benchmark.
@@ -60,6 +60,19 @@ UNIDENTIFIABLE = [
     ('torque', [*NOISE], _FACTOR, _FACTOR),
     ('voltage', ['shaft'], ['voltage.delay', 'shaft.delay', 'arm.young_modulus'],
      ['voltage.delay', 'shaft.delay'])]
+
+# Records with wrong first guesses: input, outputs, what is free.
+WRONG, SPREAD = 3.0, 1.5    # factors: of first guesses; up to which truths of records differ
+GAIN = 'root_strain.gain'
+_ARM = ['arm.young_modulus', 'end_effector.mass', 'arm.damping_ratio']
+_SHAFT = ['motor.viscous_friction', 'motor.coulomb_friction', 'motor.shaft_inertia']
+KINDS = {
+    'steps and chirp': ('voltage', [*NOISE], [*_ARM, *_SHAFT, 'motor.dc.torque_constant', DELAY]),
+    'multisine': ('torque', ['shaft', 'root_strain'], [*_ARM, *_SHAFT, GAIN]),
+    'chirp': ('torque', ['shaft_velocity', 'tip_acceleration'], [*_ARM, *_SHAFT]),
+    'driven': ('drive', ['tip_transverse'], [*_ARM, DELAY])}
+RELATIVE_NOISE = 0.01   # of the standard deviation of a quantity
+SAME = 1.01     # ratio of residuals below which two fits ended at the same minimum
 
 
 def voltage(duration):
@@ -227,12 +240,96 @@ def time_of_fit(duration, rounds):
             'median': median(times), 'runs': len(calls), 'run': median(single), 'target': 3.0}
 
 
+def signal(kind, duration, random):
+    """Return times and the voltage of a kind of record."""
+    t, volts = voltage(duration)
+    turn = 2.0 * np.pi * t
+    if kind == 'multisine':
+        lines = np.arange(1, round(10.0 * duration)) / duration
+        phases = random.uniform(0.0, 2.0 * np.pi, len(lines))
+        volts = 6.0 / np.sqrt(len(lines)) * np.sin(np.outer(turn, lines) + phases).sum(axis=1)
+    elif kind == 'chirp':
+        volts = 3.0 * np.sin(turn * (0.5 + 0.5 * 15.0 / duration * t))
+    return t, volts
+
+
+def made(seed, duration):
+    """Return the kind of a record, the record, what is free, the true scene and a wrong one."""
+    random = np.random.default_rng(seed)
+    kind = [*KINDS][seed % len(KINDS)]
+    given, shown, free = KINDS[kind]
+    t, volts = signal(kind, duration, random)
+    truth = {name: factor * np.ravel(SCENE.get(name, 1.0))[0]
+             for name, factor in zip(free, SPREAD**random.uniform(-1.0, 1.0, len(free)))
+             if name != DELAY}
+    gain = truth.pop(GAIN, 1.0)
+    values = {**truth, 'arm.damping_ratio': [truth['arm.damping_ratio']]}
+    if given == 'torque':
+        values |= {'motor.dc.resistance': 0.0, 'motor.dc.torque_constant': 0.0}
+        volts = torque(SCENE, volts)
+    scene = {**SCENE, **values}
+    load = {'load.torque.piecewise.time': t, 'load.torque.piecewise.value': (
+        torque(scene, volts) if given == 'voltage' else volts)}
+    if given == 'drive':
+        angle = CubicSpline(*[np.cumsum(each) for each in (
+            np.r_[0.0, 0.3 + 0.3 * random.random(99)], np.r_[0.0, random.uniform(-1, 1, 99)])],
+            bc_type='clamped')
+        volts, bend = angle(t), angle(t, 2)
+        bend[-1] = 0.0  # since the shaft goes on at the last speed
+        load = {'motor.shaft': 'driven', 'motor.drive.time': t, 'motor.drive.angle': volts,
+                'motor.drive.speed': angle(t, 1), 'motor.drive.acceleration': bend}
+    run = timo_sim.simulate({**scene, 'integrator.step': STEP / FINER, **load}, duration,
+                            estimate=False)
+    clean = {'shaft': lambda: run.shaft, 'shaft_velocity': lambda: run.shaft_velocity,
+             'tip_transverse': lambda: run.deflection()[:, 1],
+             'root_strain': lambda: gain * run.root_strain(),
+             'tip_acceleration': lambda: run.tip_acceleration()[:, 1]}
+    measured = {}
+    for name in shown:
+        seen = clean[name]()[::FINER][:len(t)]
+        if f'{name}.delay' in free:
+            seen = np.interp(t - TRUTH[DELAY], t, seen)
+        noise = RELATIVE_NOISE * np.std(seen) * random.standard_normal(len(t))
+        measured[name] = t, seen + noise
+    wrong = {name: value * WRONG**random.choice([-1.0, 1.0]) for name, value in truth.items()}
+    wrong['arm.damping_ratio'] = [wrong['arm.damping_ratio']]
+    true = timo_sim.load_scene(scene)
+    return kind, timo_sim.Record.of({given: (t, volts)}, measured), free, true, true.vary(wrong)
+
+
+def start(seed, duration):
+    """Return kind, ratio of residuals to those of a fit that starts with the truth, and times."""
+    kind, measured, free, *scenes = made(seed, duration)
+    sizes, times = [], []
+    for scene in scenes:
+        begun = time.process_time()
+        found = quiet(timo_sim.fit, scene, measured, free)
+        times.append(time.process_time() - begun)
+        sizes.append(np.array([each.residual_rms for each in found.errors.values()]))
+    return kind, float((sizes[1] / sizes[0]).max()), *times
+
+
+def starts(count, duration):
+    """Return, by kind of record, how many fits with wrong first guesses end where good ones do."""
+    with ProcessPoolExecutor(os.cpu_count(), get_context('spawn')) as pool:
+        found = [*pool.map(start, range(count), [duration] * count)]
+    rows = {}
+    for kind in KINDS:
+        own = [each[1:] for each in found if each[0] == kind]
+        ratios, *times = np.transpose(own)
+        rows[kind] = {'count': len(own), 'same': int(np.count_nonzero(ratios < SAME)),
+                      'ratios': ratios.tolist(), 'seconds': [float(np.median(each))
+                                                             for each in times]}
+    return {'count': count, 'duration': duration, 'wrong': WRONG, 'kinds': rows}
+
+
 PARTS = {
     'time': lambda quick: time_of_fit(10.0, 1 if quick else 5),
     'unidentifiable': lambda quick: unidentifiable(4.0),
     'coverage': lambda quick: coverage(4 if quick else 100, 4.0),
     'outliers': lambda quick: against(['plain', 'linear', 'soft_l1'], 2 if quick else 20, 4.0),
-    'windows': lambda quick: against(['rest', 'initial', 'window'], 2 if quick else 6, 4.0)}
+    'windows': lambda quick: against(['rest', 'initial', 'window'], 2 if quick else 6, 4.0),
+    'starts': lambda quick: starts(4 if quick else 100, 10.0)}
 
 
 def main():

@@ -418,7 +418,7 @@ def sweep(file: str, output: str | None, workers: int | None, scheduler: str | N
 
 @main.command()
 @click.argument('record', type=click.Path())
-@click.argument('more', nargs=-1, metavar='[NAME]...')
+@click.argument('more', nargs=-1, metavar='[RECORD]...')
 @click.option('--scene', type=click.Path(), help=(
     'Parameter file or name of an installed scene, whose values are first guesses; by default '
     'that of RECORD, if it is a log of the node.'))
@@ -427,11 +427,18 @@ def sweep(file: str, output: str | None, workers: int | None, scheduler: str | N
     '.lag of an output; or initial for the whole initial state.'))
 @click.option('--bounds', multiple=True, metavar='NAME=LOW:HIGH', help='Bounds of one of them.')
 @_settings
-@click.option('--mapping', type=click.Path(dir_okay=False), metavar='FILE',
-              help='YAML file that says which column of a table is which quantity.')
+@click.option('--mapping', type=click.Path(dir_okay=False), metavar='FILE', multiple=True, help=(
+    'YAML file that says which column of a table is which quantity; one for all records, or one '
+    'for each, those of --hold-out-record at the end.'))
 @click.option('--outputs', metavar='NAME,NAME', help='Outputs to be fitted; by default all.')
 @click.option('--hold-out', type=float, default=0.0, show_default=True,
-              help='Part of RECORD, at its end, that is predicted and not fitted.')
+              help='Part of each RECORD, at its end, that is predicted and not fitted.')
+@click.option('--hold-out-record', type=click.Path(), multiple=True, metavar='RECORD',
+              help='Record that is predicted and not fitted.')
+@click.option('--starts', type=int, metavar='COUNT', help=(
+    'Starts to be tried; by default up to 16, until the minimum is good or found again.'))
+@click.option('--next', 'further', type=click.Path(dir_okay=False), metavar='NEXT.csv', help=(
+    'Table to write: an input for the next record, which narrows the widest interval most.'))
 @click.option('--window', type=float, metavar='SECONDS', help=(
     'Fit windows of about this length, each with an initial state of its own.'))
 @click.option('--loss', default='linear', show_default=True,
@@ -441,35 +448,53 @@ def sweep(file: str, output: str | None, workers: int | None, scheduler: str | N
 @click.option('--png', type=click.Path(dir_okay=False), metavar='OUT.png',
               help='Picture to write: measured and predicted outputs.')
 def fit(record: str, more: tuple[str, ...], scene: str | None, free: tuple[str, ...],
-        bounds: tuple[str, ...], settings: tuple[str, ...], mapping: str | None,
-        outputs: str | None, hold_out: float, window: float | None, loss: str,
+        bounds: tuple[str, ...], settings: tuple[str, ...], mapping: tuple[str, ...],
+        outputs: str | None, hold_out: float, hold_out_record: tuple[str, ...],
+        starts: int | None, further: str | None, window: float | None, loss: str,
         output: str | None, png: str | None) -> None:
     r"""
-    Fit parameters of a scene to RECORD, a log, a bag or a table, and predict the rest of it.
+    Fit parameters of a scene to RECORDs: logs, bags or tables, and predict the rest of them.
 
     \b
         timo_sim fit run.mcap --free motor.viscous_friction arm.young_modulus
         timo_sim fit arm.csv --mapping columns.yaml --scene arm.yaml --hold-out 0.5 \
             --free motor.shaft_inertia shaft.bias -o fitted.yaml --png fit.png
+        timo_sim fit a.csv b.csv --hold-out-record c.csv --mapping columns.yaml \
+            --scene arm.yaml --free arm.young_modulus motor.shaft_inertia
 
     Exit codes: 0 good; 2 bad input.
     """
-    from timo_sim.fitting.result import fit, read_scene_and_record
+    from pathlib import Path
+
+    from timo_sim.fitting.result import fit, read_scene_and_records
+    from timo_sim.log.tables import write_table
     from timo_sim.scene.parameters import ModelWarning
     from timo_sim.scene.scene import load_scene
     if png:
         from timo_sim.view.plot import write
     changes, ends = parse_settings(settings), _parse_bounds(bounds)
-    guess, measured = read_scene_and_record(scene, record, mapping)
+    # Names behind the first one of --free arrive among the records, which are files.
+    records = [record, *(each for each in more if Path(each).exists())]
+    names = [*free, *(each for each in more if each not in records)]
+    guess, measured, held = read_scene_and_records(
+        scene, records, mapping[0] if len(mapping) == 1 else [*mapping] or None, hold_out_record)
     if outputs:
-        measured = measured.select(*outputs.split(','))
+        measured, held = ([each.select(*outputs.split(',')) for each in some]
+                          for some in (measured, held))
     with warnings.catch_warnings():
         warnings.simplefilter('ignore', ModelWarning)  # the report has its text
-        found = fit(load_scene(guess, changes), measured, [*free, *more], ends, hold_out, window,
-                    loss)
+        found = fit(load_scene(guess, changes), measured, names, ends, hold_out, window, loss,
+                    starts=starts, hold_out_records=held)
     click.echo(found.report())
     if output:
         click.echo(f'{found.save(output)} is written')
+    if further:
+        best, *others = found.next_input()
+        click.echo(f'the interval of {best.widest} is the widest; what is left of it with another '
+                   f'record of {best.quantity}: ' + ', '.join(
+                       f'{each.kind} {each.ratios[each.widest]:.0%}' for each in (best, *others)))
+        write_table({'time_s': best.t, best.quantity: best.values}, Path(further))
+        click.echo(f'{further} is written: {best.kind}')
     if png:
         write(found.plot(), png)
         click.echo(f'{png} is drawn')

@@ -2,7 +2,7 @@
 # SPDX-License-Identifier: Apache-2.0
 
 """
-Predictions of a record by runs with free parameters, and the search for the closest ones.
+Predictions of a record by runs with free parameters, and how certain the closest of these are.
 
 The closest parameters have the least sum of squares of residuals in standard deviations.
 """
@@ -19,7 +19,6 @@ import warnings
 import numpy as np
 from scipy.interpolate import CubicSpline, make_interp_spline, make_lsq_spline, PPoly
 from scipy.linalg import matmul_toeplitz, solve_toeplitz
-from scipy.optimize import least_squares
 from scipy.signal import lfilter
 
 from timo_sim.fitting.record import Channel, DRIVE, OUTPUTS, Record, unit_of
@@ -52,6 +51,11 @@ class Free:
     scale: float
     log: bool
     unit: str
+
+    @property
+    def is_own(self) -> bool:
+        """Whether each of several records has a value of its own."""
+        return self.name.startswith(INITIAL) or '.bias' in self.name or '.delay' in self.name
 
     def coordinate(self, value: float) -> float:
         """Return the coordinate of the fit for a value."""
@@ -517,216 +521,3 @@ def r_squared(measured: np.ndarray, predicted: np.ndarray) -> float:
     """Return the coefficient of determination R^2; NaN if nothing was measured to vary."""
     spread = np.sum((measured - measured.mean())**2)
     return float(1.0 - np.sum((measured - predicted)**2) / spread) if spread else np.nan
-
-
-LOSSES = 'linear', 'soft_l1', 'huber', 'cauchy'
-# Steps of differences in coordinates of the fit: one for the search, two for the intervals.
-_FORWARD, _CENTRAL, _WIDE = 1e-6, 3e-4, 1e-3
-_MAX_DIFFERENCE = 0.3  # relative difference of derivatives by two steps, above which a run jumps
-_FIRST_PART = 0.25  # part of the record that is fitted first: early, runs are closer to it
-_MIN_DEVIATION = 1e-5  # least standard deviation, relative to the first
-_FIRST_DEVIATION = 0.1  # first standard deviation, relative to that of an output's values
-_LOOSE, _TIGHT = 1e-4, 1e-7  # relative changes of the sum of squares at which a search ends
-_MAX_SEARCHES = 6  # most searches with standard deviations from the one before
-_SETTLED_CHANGE = 0.01  # relative change of standard deviations that counts as none
-_PRIOR_DEVIATION = 10.0  # standard deviation of initial states of windows, in their scales
-# Sizes of dry friction that are tried, as shares of the force that accelerates the free body.
-_FRICTION_SHARES = 0.01, 0.1, 1.0
-_MAD = 1.4826  # standard deviations in a median absolute deviation
-
-
-class Search:
-    """A search for the least sum of squares; x are the coordinates of all that is free."""
-
-    def __init__(self, problem: Problem, loss: str) -> None:
-        self.problem, self.loss, record = problem, loss, problem.record
-        self.deviations = {
-            name: channel.noise or _FIRST_DEVIATION * float(np.std(
-                channel.values[channel.t <= problem.until])) or 1.0
-            for name, channel in record.outputs.items()}
-        # Deviations have a lower bound: without noise they would fall until squares overflow.
-        self._least = {name: _MIN_DEVIATION * each for name, each in self.deviations.items()}
-        free = problem.free
-        self.x = np.array([each.coordinate(each.start) for each in free])
-        self._low = np.array([each.coordinate(each.low) for each in free])
-        self._high = np.array([each.coordinate(each.high) for each in free])
-        self._windows = problem.windows
-        self._states = []  # of each window, the Free parameters of its initial state
-        self.against = {}  # by output, its least correlation with the first run, at most 0
-        self._prior = np.zeros(0)
-
-    def run(self) -> None:
-        """Find x and the standard deviations of the sensors."""
-        self._check_start()
-        whole = self.problem.windows
-        if not whole[0].names:
-            self._windows = [Window(0.0, _FIRST_PART * self.problem.until, ())]
-            self._solve(_LOOSE)
-            self._windows = whole
-            self._solve(_LOOSE)
-        else:
-            self._states = initial_states(self.problem, self.problem.values(self.x))
-            every = [each for states in self._states for each in states]
-            start = np.array([each.coordinate(each.start) for each in every])
-            self.x, self._prior = np.concatenate([self.x, start]), start
-            self._low = np.concatenate([self._low, np.full(len(every), -np.inf)])
-            self._high = np.concatenate([self._high, np.full(len(every), np.inf)])
-        for _ in range(_MAX_SEARCHES):
-            self._solve(_LOOSE)
-            if self._estimate_deviations() < _SETTLED_CHANGE:
-                break
-        self._solve(_TIGHT)
-        self._estimate_deviations()
-
-    def _check_start(self):
-        problem = self.problem
-        values = problem.values(self.x)
-        try:
-            run = problem.run(values, 0.0, problem.until)
-            predicted = problem.predictions(run, values, 0.0, problem.until)
-            every = problem.measurements(Window(0.0, problem.until, ()))
-            # The least correlation of all samples and of those of the first part.
-            for name, (t, seen) in predicted.items():
-                for part in (t <= problem.until, t <= _FIRST_PART * problem.until):
-                    if part.sum() > 2 and np.ptp(seen[part]) and np.ptp(every[name][part]):
-                        each = float(np.corrcoef(seen[part], every[name][part])[0, 1])
-                        self.against[name] = min(each, self.against.get(name, 0.0))
-        except (DivergenceError, ParameterError) as error:
-            if isinstance(error, ParameterError) or not problem.windows[0].names:
-                raise ParameterError('the record cannot be predicted with the first guess: '
-                                     f'{error}') from None
-
-    def _solve(self, tolerance):
-        found = least_squares(self._residuals, np.clip(self.x, self._low, self._high),
-                              self._jacobian, (self._low, self._high), x_scale='jac',
-                              loss=self.loss, ftol=tolerance, xtol=tolerance, gtol=1e-12,
-                              max_nfev=60)
-        self.x = found.x
-
-    def split(self, x: np.ndarray) -> tuple[dict[str, float], list[dict[str, float]]]:
-        """Return the values of free parameters and those of the initial state of each window."""
-        first, states = len(self.problem.free), []
-        for every in self._states or [[]] * len(self._windows):
-            states.append({each.name: each.value(part)
-                           for each, part in zip(every, x[first:first + len(every)])})
-            first += len(every)
-        return self.problem.values(x), states
-
-    def _residuals(self, x, more=None):
-        values, states = self.split(x)
-        parts = [self.problem.residuals({**values, **(more or {})}, self.deviations, window, state)
-                 for window, state in zip(self._windows, states)]
-        states = x[len(self.problem.free):]
-        return np.concatenate([*parts, (states - self._prior) / _PRIOR_DEVIATION])
-
-    def _jacobian(self, x, step=_FORWARD, central=False):
-        """Return the derivatives of the residuals by x, from differences of runs."""
-        problem = self.problem
-        count, here = len(problem.free), self._residuals(x)
-        sizes = [sum(map(len, problem.measurements(window).values())) for window in self._windows]
-        edges = np.concatenate([[0], np.cumsum(sizes)])
-        found = np.zeros((len(here), len(x)))
-        # All windows depend on the free parameters, and one on its initial state.
-        windows = count * [range(len(self._windows))] + [
-            [w] for w, state in enumerate(self._states) for _ in state]
-
-        def residuals(x, w):
-            values, states = self.split(x)
-            return problem.residuals(values, self.deviations, self._windows[w], states[w])
-
-        for k in range(len(x)):
-            size = step
-            if central and k < count and problem.free[k].name.endswith('.delay'):
-                # A delay is varied by whole steps: within a step the run depends on it only
-                # through the interpolation of the load.
-                size = problem.scene.step / problem.free[k].scale * (step / _CENTRAL)
-            size = size if x[k] + size <= self._high[k] else -size
-            shift = size * (np.arange(len(x)) == k)
-            two_sided = central and self._low[k] <= x[k] - size <= self._high[k]
-            for w in windows[k]:
-                rows = slice(edges[w], edges[w + 1])
-                other = residuals(x - shift, w) if two_sided else here[rows]
-                found[rows, k] = (residuals(x + shift, w) - other) / (
-                    2.0 * size if two_sided else size)
-        found[edges[-1]:, count:] = np.eye(len(x) - count) / _PRIOR_DEVIATION
-        return found
-
-    def _split_rows(self, rows):
-        """Return the rows of each output in each window, and those of the initial states."""
-        sizes = [len(values) for window in self._windows
-                 for values in self.problem.measurements(window).values()]
-        return np.split(rows, np.cumsum(sizes))
-
-    def _estimate_deviations(self):
-        """Estimate the standard deviations of the sensors; return the largest relative change."""
-        series, change = self._split_rows(self._residuals(self.x))[:-1], 0.0
-        for place, name in enumerate(self.deviations):
-            r = np.concatenate(series[place::len(self.deviations)])
-            size = math.sqrt(np.mean(r**2)) if self.loss == 'linear' else (
-                _MAD * float(np.median(np.abs(r))))
-            known = self.problem.record.outputs[name].noise
-            new = max(size * self.deviations[name], known or self._least[name])
-            if not known or new > 1.5 * known:
-                change = max(change, abs(new / self.deviations[name] - 1.0))
-                self.deviations[name] = new
-        return change
-
-    def derivatives(self) -> tuple[list[np.ndarray], list[np.ndarray], list[str],
-                                   dict[str, tuple[float, float]]]:
-        """
-        Return the derivatives at the end: jacobians, residuals, jumps, friction.
-
-        The first two are lists of ndarray, (n_i, p + k) and (n_i,), of each output in each window,
-        and of the prior of k initial states of windows; with a loss other than `linear` they have
-        its weights. `jumps` names parameters on which runs depend in jumps. `friction` has, by
-        name of a parameter of dry friction that the scene has not got, the part of the squares of
-        the residuals that it would explain, and its value.
-        """
-        jacobian, residuals = self._jacobian(self.x, _CENTRAL, True), self._residuals(self.x)
-        wide, count = self._jacobian(self.x, _WIDE, True), len(self.problem.free)
-        size, other = np.linalg.norm(jacobian, axis=0), np.linalg.norm(wide, axis=0)
-        rough = np.linalg.norm(jacobian - wide, axis=0) > _MAX_DIFFERENCE * np.minimum(size, other)
-        # Where a run jumps, the smaller derivative is taken: it makes the interval wider.
-        jacobian[:, rough & (other < size)] = wide[:, rough & (other < size)]
-        jumps = [free.name for free, jumps in zip(self.problem.free, rough[:count]) if jumps]
-        weight = {'linear': lambda z: np.ones_like(z), 'soft_l1': lambda z: (1.0 + z)**-0.5,
-                  'huber': lambda z: np.where(z <= 1.0, 1.0, 1.0 / np.sqrt(np.maximum(z, 1.0))),
-                  'cauchy': lambda z: 1.0 / (1.0 + z)}[self.loss](residuals**2)
-        root = np.sqrt(weight)
-        friction = self._friction(jacobian * root[:, np.newaxis], residuals, root)
-        root[len(root) - len(self._prior):] = 1.0  # the prior has no weights
-        jacobians, parts = (self._split_rows(rows) for rows in (
-            jacobian * root[:, np.newaxis], residuals * root))
-        used = len(parts) - (not len(self._prior))
-        return jacobians[:used], parts[:used], jumps, friction
-
-    def _friction(self, jacobian, residuals, root):
-        """Return what dry friction would explain beside all that is free, see `derivatives`."""
-        problem, found = self.problem, {}
-        values, states = self.split(self.x)
-        scene = problem.scene_of(values, states[0])
-        try:
-            run = problem.run(values, 0.0, problem.until, states[0])
-        except DivergenceError:
-            return found
-        motion = run.values[:, run.values.shape[1] // 2:][:, :3]
-        needed = np.abs(np.diag(run.model.mass_matrix(run.values[0])[0])[:3] * np.sqrt(
-            np.mean(np.gradient(motion, run.t, axis=0)**2, axis=0)))
-        free, _ = np.linalg.qr(jacobian)
-        left = root * residuals
-        left -= free @ (free.T @ left)
-        for name, size in (('carrier.coulomb_friction', needed[:2].max()),
-                           ('motor.coulomb_friction', needed[2])):
-            if not size or scene.values[name]:
-                continue
-            for each in _FRICTION_SHARES:
-                try:
-                    scene.vary({name: each * size})
-                except ParameterError:
-                    continue
-                changed = root * (self._residuals(self.x, {name: each * size}) - residuals)
-                changed -= free @ (free.T @ changed)
-                fall, power = -(changed @ left), changed @ changed
-                if fall > 0.0 and fall**2 > found.get(name, (0.0, 0.0))[0] * power * (left @ left):
-                    found[name] = fall**2 / (power * (left @ left)), fall / power * each * size
-        return found

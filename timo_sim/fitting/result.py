@@ -16,9 +16,11 @@ import numpy as np
 import yaml
 
 from timo_sim.extras import optional
+from timo_sim.fitting.next import next_inputs, NextInput
 from timo_sim.fitting.record import read_log, read_record, Record, SUFFIXES, unit_of
 from timo_sim.fitting.problem import (
-    covariance, LOSSES, NORMAL, Problem, r_squared, Search, unidentified_combinations, whiteness)
+    covariance, NORMAL, Problem, r_squared, unidentified_combinations, whiteness)
+from timo_sim.fitting.search import LOSSES, NUMERICAL, Search
 from timo_sim.runs.run import Run
 from timo_sim.scene.files import whole_file
 from timo_sim.scene.parameters import changed, Parameter, ParameterError, short, warn
@@ -65,87 +67,22 @@ class Errors:
 
 
 @dataclass(frozen=True, repr=False)
-class Fit:
+class Prediction:
     """
-    What `fit` has found.
+    A record and what a fitted scene predicts of it by one run from its beginning.
 
-    Attributes
-    ----------
-    scene : Scene
-        With the fitted values; its loads are not those of the record.
-    record : Record
-    estimates : dict of Estimate
-        By name of a free parameter.
-    correlation : ndarray, shape (p, p)
-        Of the estimates, in their order.
-    unidentified : list of dict
-        Combinations of parameters that the record hardly depends on: by name, the part of each
-        in it (of the logarithm, for positive parameters).
-    errors : dict of Errors
-        By output.
-    run : Run or None
-        The whole record, predicted by one run from its beginning; None if that diverges.
-    predicted : dict of ndarray, shape (n,)
-        By output, what this run shows at the record's samples.
-    until, seconds : float
-        Time from which on the record was held out; wall time of the fit [s].
-    white : bool
-        Whether the residuals of the fit are white; if not, the model lacks something, and the
-        intervals allow for that.
-    warnings : list of str
-
+    `errors` and `predicted`, (n,) at the record's samples, are by output; `run` is None if it
+    diverges. What is later than `until` [s] was held out.
     """
 
-    scene: Scene
     record: Record
-    estimates: dict[str, Estimate]
-    correlation: np.ndarray
-    unidentified: list
     errors: dict[str, Errors]
     run: Run | None
     predicted: dict[str, np.ndarray]
     until: float
-    white: bool
-    warnings: list = field(default_factory=list)
-    seconds: float = math.nan
 
-    @property
-    def values(self) -> dict[str, float]:
-        """The estimates by name, without those that the record does not identify."""
-        return {name: each.value for name, each in self.estimates.items() if each.identified}
-
-    def __repr__(self) -> str:
-        found = ', '.join(f'{name} = {value:.4g}' for name, value in self.values.items())
-        return f'<Fit of {self.record.source}: {found or "nothing is identified"}>'
-
-    def report(self) -> str:
-        """Return estimates, errors and doubts as a text."""
-        width = max(map(len, self.estimates))
-        lines = [f'{"parameter":<{width}}  {"estimate":>11}  {"95 % interval":>25}  '
-                 f'{"first guess":>11}']
-        for name, each in self.estimates.items():
-            shown = (f'{each.value:>11.5g}  {f"{each.low:.5g} to {each.high:.5g}":>25}'
-                     if each.identified else f'{"not identified by this record":>38}')
-            bound = f'  at its {each.bound} bound' if each.bound else ''
-            lines.append(f'{name:<{width}}  {shown}  {each.start:>11.5g}  {each.unit}{bound}'
-                         .rstrip())
-        pairs = [f'{first} and {second} ({self.correlation[i, j]:.3f})'
-                 for j, second in enumerate(self.estimates)
-                 for i, first in enumerate([*self.estimates][:j])
-                 if first in self.values and second in self.values
-                 and abs(self.correlation[i, j]) > _HIGH_CORRELATION]
-        lines += ['', 'correlation above 0.95: ' + (', '.join(pairs) or 'none')]
-        lines += ['not identified: ' + ' '.join(
-            f'{part:+.2f} {name}' for name, part in parts.items()) for parts in self.unidentified]
-        if self.scene.load and self.record.inputs:
-            lines += ['the loads of the scene act beside the inputs of the record']
-        lines += ['', _RUN_HEAD, self._table()]
-        lines += ['', 'residuals of the fit are ' + (
-            'white' if self.white else 'not white, so the model lacks something; intervals '
-            'allow for correlated residuals')]
-        return '\n'.join([*lines, *(f'warning: {each}' for each in self.warnings)])
-
-    def _table(self):
+    def table(self) -> str:
+        """Return the errors as a text."""
         rows = [f'{"output":<18} {"unit":<6} {"fitted":>9} {"R^2":>7}']
         held_out = self.until < self.record.duration
         if held_out:
@@ -198,9 +135,111 @@ class Fit:
         all_axes[-1].set(xlabel='time [s]')
         return figure
 
+
+@dataclass(frozen=True, repr=False)
+class Fit(Prediction):
+    """
+    What `fit` has found, with the Prediction of the first record.
+
+    Attributes
+    ----------
+    scene : Scene
+        With the fitted values; its loads are not those of the record.
+    estimates : dict of Estimate
+        By name of a free parameter. Those that each of several records has of its own end in
+        `(record 1)`, and so on.
+    correlation : ndarray, shape (p, p)
+        Of the estimates, in their order.
+    unidentified : list of dict
+        Combinations of parameters that the record hardly depends on: by name, the part of each
+        in it (of the logarithm, for positive parameters).
+    seconds : float
+        Wall time of the fit [s].
+    white : bool
+        Whether the residuals of the fit are white; if not, the model lacks something, and the
+        intervals allow for that.
+    warnings : list of str
+    starts : int
+        How many starts were tried.
+    others : list of dict
+        Other sets of values, by name, with which the records are fitted as well.
+    more : list of Prediction
+        Of further records, with those that were held out at the end.
+    search, information : Search, ndarray of shape (p, p)
+        With the coordinates of the minimum; the inverse of their covariance for white residuals.
+
+    """
+
+    scene: Scene
+    estimates: dict[str, Estimate]
+    correlation: np.ndarray
+    unidentified: list
+    white: bool
+    warnings: list = field(default_factory=list)
+    seconds: float = math.nan
+    starts: int = 1
+    others: list = field(default_factory=list)
+    more: list = field(default_factory=list)
+    search: Any = None
+    information: Any = None
+
+    @property
+    def values(self) -> dict[str, float]:
+        """The estimates by name, without those that the record does not identify."""
+        return {name: each.value for name, each in self.estimates.items() if each.identified}
+
+    def __repr__(self) -> str:
+        found = ', '.join(f'{name} = {value:.4g}' for name, value in self.values.items())
+        return f'<Fit of {self.record.source}: {found or "nothing is identified"}>'
+
+    def report(self) -> str:
+        """Return estimates, errors and doubts as a text."""
+        width = max(map(len, self.estimates))
+        lines = [f'{"parameter":<{width}}  {"estimate":>11}  {"95 % interval":>25}  '
+                 f'{"first guess":>11}']
+        for name, each in self.estimates.items():
+            shown = (f'{each.value:>11.5g}  {f"{each.low:.5g} to {each.high:.5g}":>25}'
+                     if each.identified else f'{"not identified by this record":>38}')
+            bound = f'  at its {each.bound} bound' if each.bound else ''
+            lines.append(f'{name:<{width}}  {shown}  {each.start:>11.5g}  {each.unit}{bound}'
+                         .rstrip())
+        pairs = [f'{first} and {second} ({self.correlation[i, j]:.3f})'
+                 for j, second in enumerate(self.estimates)
+                 for i, first in enumerate([*self.estimates][:j])
+                 if first in self.values and second in self.values
+                 and abs(self.correlation[i, j]) > _HIGH_CORRELATION]
+        lines += ['', 'correlation above 0.95: ' + (', '.join(pairs) or 'none')]
+        lines += ['not identified: ' + ' '.join(
+            f'{part:+.2f} {name}' for name, part in parts.items()) for parts in self.unidentified]
+        lines += ['another set of parameters fits as well: ' + ', '.join(
+            f'{name} = {value:.5g}' for name, value in values.items()) for values in self.others]
+        lines += [f'{self.starts} starts were tried' if self.starts > 1 else 'one start was tried']
+        if self.scene.load and self.record.inputs:
+            lines += ['the loads of the scene act beside the inputs of the record']
+        lines += ['', _RUN_HEAD]
+        for number, each in enumerate([self, *self.more], 1):
+            lines += [f'record {number}, {each.record.source}:'] * bool(self.more)
+            lines += [each.table()]
+        lines += ['', 'residuals of the fit are ' + (
+            'white' if self.white else 'not white, so the model lacks something; intervals '
+            'allow for correlated residuals')]
+        return '\n'.join([*lines, *(f'warning: {each}' for each in self.warnings)])
+
+    def next_input(self, limit: float | None = None,
+                   duration: float | None = None) -> list[NextInput]:
+        """
+        Return inputs for the next record: step, chirp, multisine, and that of the first again.
+
+        They are sorted by how much they narrow the widest interval. `limit` bounds them, by
+        default by the largest value of the first record's input; `duration` is by default that of
+        the first record [s]. Raises ParameterError if that has no input other than drive.
+        """
+        return next_inputs(self.search, self.information, self.scene, limit, duration)
+
     def save(self, path: str | Path) -> Path:
         """Write the fitted scene as a parameter file for `sim_node`; an existing one is kept."""
         path, nested = Path(path), {}
+        sources = [each.record.source for each in [self, *self.more] if each.until]
         for name, value in changed(self.scene.values).items():
             place = nested
             *groups, last = name.split('.')
@@ -208,7 +247,7 @@ class Fit:
                 place = place.setdefault(group, {})
             place[last] = [*value] if isinstance(value, tuple) else value
         head = ''.join(f'# {line}'.rstrip() + '\n' for line in [
-            f'Fitted to {self.record.source} by timo_sim fit.', *self.report().split('\n')])
+            f'Fitted to {", ".join(sources)} by timo_sim fit.', *self.report().split('\n')])
         if path.exists():
             raise ParameterError(f'{path} exists: remove it or choose another name')
         with whole_file(path, new=True) as part:
@@ -218,15 +257,18 @@ class Fit:
 
 
 _HOLD_OUT = Parameter('hold_out', 0.0, '', '', low=0.0, high=0.95)
+_STARTS = Parameter('starts', 1, '', '', low=1)
 _WINDOW = Parameter('window', 1.0, 's', '', low=0.0, open_low=True)
 
 
-def fit(scene: SceneLike | None, record: Record | str | Path, free: Sequence[str],
+def fit(scene: SceneLike | None, record: RecordLike | Sequence[RecordLike], free: Sequence[str],
         bounds: Mapping[str, Sequence[float]] | None = None, hold_out: float = 0.0,
         window: float | None = None, loss: str = 'linear',
-        mapping: str | Path | Mapping[str, Any] | None = None) -> Fit:
+        mapping: str | Path | Mapping[str, Any] | Sequence[Any] | None = None,
+        starts: int | None = None,
+        hold_out_records: Sequence[RecordLike] = ()) -> Fit:
     """
-    Fit parameters of a scene to a measured record.
+    Fit parameters of a scene to a measured record, or to several.
 
     The inputs of the record act on the scene, and the free parameters are those for which the
     outputs of the run are closest to the measured ones, by least squares of residuals in standard
@@ -236,8 +278,10 @@ def fit(scene: SceneLike | None, record: Record | str | Path, free: Sequence[str
     ----------
     scene : Scene, or what `load_scene` takes, or None
         Its values of the free parameters are first guesses. None: the scene of a log of the node.
-    record : Record, str or Path
-        A Record; a log or bag of the node; or a table: CSV or other text, Parquet, MAT.
+    record : Record, str or Path, or a list of them
+        A Record; a log or bag of the node; or a table: CSV or other text, Parquet, MAT. Several
+        share the parameters, but each has biases, delays and an initial state of its own, if
+        these are free, and its own standard deviations of the sensors.
     free : sequence of str
         Names of parameters of the scene that are numbers, with [k] for an element of a list;
         QUANTITY.gain, .bias or .delay of an input or output of the record, such as shaft.bias, and
@@ -245,7 +289,7 @@ def fit(scene: SceneLike | None, record: Record | str | Path, free: Sequence[str
     bounds : dict, optional
         (low, high) by name, within the parameter's own rule.
     hold_out : float
-        Part of the record, at its end, that is not fitted but predicted, 0 to 0.95.
+        Part of each record, at its end, that is not fitted but predicted, 0 to 0.95.
     window : float, optional
         Fit windows of about this length, each with an initial state of its own [s]. For arms
         whose long runs depend too much on details, such as those of dry friction. What is held
@@ -253,7 +297,13 @@ def fit(scene: SceneLike | None, record: Record | str | Path, free: Sequence[str
     loss : str
         `linear`, or `soft_l1`, `huber` or `cauchy`, with which outliers weigh less.
     mapping : str, Path or dict, optional
-        Which column of a table is which quantity, see doc/fit.md.
+        Which column of a table is which quantity, see doc/fit.md; or a list with one for each
+        record, those that are held out at the end.
+    starts : int, optional
+        How many starts are tried: the scene's values, what each record itself suggests, and
+        points around that. By default up to 16, until the minimum is good or found again.
+    hold_out_records : list of Record, str or Path
+        Records that are not fitted but predicted, with the scene's biases and initial states.
 
     Raises
     ------
@@ -284,20 +334,22 @@ def fit(scene: SceneLike | None, record: Record | str | Path, free: Sequence[str
         raise ParameterError(f'loss must be one of {", ".join(LOSSES)}, got {short(loss)}')
     if isinstance(free, str) or not all(isinstance(name, str) for name in free):
         raise ParameterError(f'free must be a list of names, got {short(free)}')
-    start, measured = read_scene_and_record(scene, record, mapping)
-    begun, until = time.monotonic(), (1.0 - hold_out) * measured.duration
-    problem = Problem(start, measured, list(free), dict(bounds or {}), until, window)
-    search = Search(problem, loss)
-    search.run()
-    names, count = [free.name for free in problem.free], len(problem.free)
+    starts = None if starts is None else _STARTS.check(starts)
+    start, measured, held = read_scene_and_records(scene, record, mapping, hold_out_records)
+    begun, bounds = time.monotonic(), dict(bounds or {})
+    problems = [Problem(start, each, _names_for(each, measured, free), bounds,
+                        (1.0 - hold_out) * each.duration, window) for each in measured]
+    search = Search(problems, loss)
+    search.run(starts)
+    names, count = [free.name for free in search.free], len(search.free)
     jacobians, residuals, jumps, friction = search.derivatives()
     seconds = time.monotonic() - begun
-    x, initial = search.x[:count], search.split(search.x)[1][0]
+    x, states = search.x[:count], search.states(search.x)
     spread, white = covariance(jacobians, residuals)
     spread = spread[:count, :count]
     sigma = np.sqrt(np.diag(spread))
     estimates = {}
-    for each, at, deviation in zip(problem.free, x, sigma):
+    for each, at, deviation in zip(search.free, x, sigma):
         value, half = each.value(at), NORMAL * deviation
         identified = bool(half < (1.0 if each.log else max(1.0, abs(at))))
         edges = each.coordinate(each.low), each.coordinate(each.high)
@@ -309,40 +361,77 @@ def fit(scene: SceneLike | None, record: Record | str | Path, free: Sequence[str
             value if identified else math.nan, low, high,
             deviation * (value if each.log else each.scale) if identified else math.nan,
             each.start, each.unit, identified, bound)
-    values = problem.values(x)
-    fitted, doubts = problem.scene_of(values, initial), []
+    doubts, predictions = [], []
     if jumps:
-        cause = ', as with dry friction' if problem.scene.friction.any() else ''
+        cause = ', as with dry friction' if start.friction.any() else ''
         doubts.append(f'the run depends on {", ".join(jumps)} in jumps{cause}, so the intervals '
                       'may be too small: try a shorter window, or friction with a coulomb_speed')
-    run, predicted = None, {}
-    try:
-        run = problem.run(values, scene=fitted)
-        predicted = {name: found for name, (_, found) in
-                     problem.predictions(run, values).items()}
-    except DivergenceError as error:
-        doubts.append(f'one run of the whole record diverges: {error}')
-    errors = _errors(problem, predicted, residuals, search.deviations)
-    doubts += _possible_causes(errors, search.against, {} if white else friction)
-    doubts += _find_doubts(problem, fitted, estimates, errors, values, run, predicted)
+    doubts += _find_doubts(estimates)
+    series: dict[tuple[int, str], list[np.ndarray]] = {}
+    for (k, name, _), r in zip(search.series(), residuals):
+        series.setdefault((k, name), []).append(search.deviations[k][name] * r)
+    initial = dict(reversed([(k, state) for (k, _), state in zip(search.windows, states)]))
+    fitted = problems[0].scene_of(search.values(x, 0), initial[0])
+    shared = {each.name: each.value(at) for each, at in zip(search.free, x) if not each.is_own}
+    for last in held:
+        seen = {'initial.shaft': float(last.outputs['shaft'].values[0])} if (
+            'shaft' in last.outputs and {'initial', 'initial.shaft'} & {*free}) else {}
+        problems.append(Problem(start.vary(seen), last, _names_for(last, measured, shared), {},
+                                0.0))
+    for k, problem in enumerate(problems):
+        values = search.values(x, k) if k < len(measured) else {
+            each.name: shared[each.name] for each in problem.free}
+        prediction, told = _predict(problem, values, initial.get(k), {
+            name: series.get((k, name), []) for name in problem.record.outputs})
+        predictions.append(prediction)
+        if k < len(measured):
+            told[:0] = _possible_causes(prediction.errors, search.against[k],
+                                        {} if white or k else friction)
+        doubts += [f'{each} (record {k + 1})' if len(problems) > 1 else each for each in told]
     # The derivatives by the parameters that initial states of windows cannot make up for.
     whole = np.concatenate(jacobians)
     q, _ = np.linalg.qr(whole[:, count:])
+    own = whole[:, :count] - q @ (q.T @ whole[:, :count])
     parts = unidentified_combinations(
-        whole[:, :count] - q @ (q.T @ whole[:, :count]), names,
-        {name for name, each in estimates.items() if not each.identified})
+        own, names, {name for name, each in estimates.items() if not each.identified})
     correlation = np.clip(spread / np.outer(sigma, sigma), -1.0, 1.0)  # but for round-off
-    found = Fit(fitted, problem.record, estimates, correlation, parts, errors, run, predicted,
-                problem.until, white, doubts, seconds)
+    first, *more = predictions
+    found = Fit(first.record, first.errors, first.run, first.predicted, first.until, fitted,
+                estimates, correlation, parts, white, doubts, seconds, search.tried,
+                search.others, more, search, own.T @ own)
     if doubts:
         warn('; '.join(doubts))
     return found
 
 
-def read_scene_and_record(
-        scene: SceneLike | None, record: Record | str | Path,
-        mapping: str | Path | Mapping[str, Any] | None = None) -> tuple[Scene, Record]:
-    """Return the Scene and the Record of a fit from what `fit` takes for them."""
+def _names_for(record, records, free):
+    """Return the names in `free` without sensors that other records have, but not this one."""
+    quantities = {name for each in records for name in (*each.inputs, *each.outputs)}
+    missing = quantities - {*record.inputs, *record.outputs}
+    return [name for name in free if name.rpartition('.')[0] not in missing]
+
+
+RecordLike = Record | str | Path
+
+
+def read_scene_and_records(
+        scene: Any, record: RecordLike | Sequence[RecordLike], mapping: Any,
+        held: Sequence[RecordLike]) -> tuple[Scene, list[Record], list[Record]]:
+    """Return the Scene and the Records of a fit from what `fit` takes for them."""
+    fitted = [record] if isinstance(record, RecordLike) else [*record]
+    every: list[Any] = [*fitted, *held]
+    found: list[Record] = []
+    mappings = [*mapping] if isinstance(mapping, (list, tuple)) else [mapping] * len(every)
+    if not fitted or len(mappings) != len(every):
+        raise ParameterError('a fit needs a record, and one mapping for all or one for each, got '
+                             f'{len(fitted)} and {len(mappings)}, with {len(held)} held out')
+    for each, own in zip(every, mappings):  # the scene of the first log is that of all
+        scene, measured = _read(scene, each, own)
+        found.append(measured)
+    return scene, found[:len(fitted)], found[len(fitted):]
+
+
+def _read(scene, record, mapping):
     if isinstance(record, Record):
         if scene is None:
             raise ParameterError('scene must be given with a Record')
@@ -358,7 +447,6 @@ _AT_BOUND = 1e-3  # distance from a bound, in coordinates of the fit, that count
 _MIN_SAMPLES = 10  # samples of a part whose errors are worth a number
 _ANTICORRELATED = -0.5  # correlation below which a sign may be the other one
 _MIN_R_SQUARED = 0.5  # R^2 below which an output is not predicted
-_NUMERICAL_RESIDUAL = 1e-9  # 1 - R^2 below which only numerical errors are left
 _MIN_EXPLAINED = 0.2  # part of the squares of residuals from which on its cause is named
 _MAX_NOISE_RATIO = 2.0  # ratio of a residual to the known noise, above which there is a warning
 _MAX_NUMERICAL = 0.2  # part of a residual that may be numerical error
@@ -373,31 +461,60 @@ def _possible_causes(errors, against, friction):
                        f'({correlation:.2f}): its sign, or that of an input, may be the other one '
                        '(scale: -1 in the mapping)')
     for name, (share, value) in friction.items():
-        if share > _MIN_EXPLAINED and any(1.0 - each.r_squared > _NUMERICAL_RESIDUAL
+        if share > _MIN_EXPLAINED and any(1.0 - each.r_squared > NUMERICAL
                                           for each in errors.values()):
             yield (f'dry friction, which the scene has not got, would explain {100.0 * share:.0f} '
                    f'% of the squares of the residuals: set {name} to about {value:.2g}, and free '
                    'it')
 
 
-def _errors(problem, predicted, residuals, deviations):
-    found, outputs = {}, [*problem.record.outputs]
-    for place, name in enumerate(outputs):
-        channel = problem.record.outputs[name]
+def _predict(problem, values, initial, residuals):
+    """Return the Prediction of a problem with these values, and what is doubtful of it."""
+    doubts, run, predicted, errors = [], None, {}, {}
+    fitted = problem.scene_of(values, initial)
+    try:
+        run = problem.run(values, scene=fitted)
+        predicted = {name: found for name, (_, found) in
+                     problem.predictions(run, values).items()}
+    except DivergenceError as error:
+        doubts.append(f'one run of the whole record diverges: {error}')
+    for name, channel in problem.record.outputs.items():
         parts = []
         for part in (channel.t <= problem.until, channel.t > problem.until):
             enough = part.sum() >= _MIN_SAMPLES and name in predicted
             measured = channel.values[part]
             parts += [float(np.sqrt(np.mean((predicted[name][part] - measured)**2))),
                       r_squared(measured, predicted[name][part])] if enough else [math.nan] * 2
-        own = residuals[place:len(problem.windows) * len(outputs):len(outputs)]
-        size = math.sqrt(np.mean(np.concatenate(own)**2))
-        found[name] = Errors(parts[0], parts[1], parts[2], parts[3], deviations[name] * size,
-                             min(whiteness(each) for each in own if len(each) > 4))
-    return found
+        own = residuals[name]
+        size = math.sqrt(np.mean(np.concatenate(own)**2)) if own else math.nan
+        errors[name] = Errors(parts[0], parts[1], parts[2], parts[3], size, min(
+            [whiteness(each) for each in own if len(each) > 4], default=math.nan))
+        if channel.noise and errors[name].residual_rms > _MAX_NOISE_RATIO * channel.noise:
+            doubts.append(
+                f'{name} is off by {errors[name].residual_rms / channel.noise:.1f} times its '
+                'noise: the model lacks something, or this is not the best minimum: try other '
+                'first guesses')
+    found = Prediction(problem.record, errors, run, predicted, problem.until)
+    if run is None:
+        return found, doubts
+    # Coordinates of static modes have no meaning in other modes.
+    try:
+        finer = refine(fitted, 2, None if can_refine(fitted) else 0, 0, same_equations=True)
+        again = problem.predictions(problem.run(values, scene=finer), values)
+    except (DivergenceError, ParameterError) as error:
+        return found, [*doubts, f'the numerical error is not known: {error}']
+    for name, (_, finer) in again.items():
+        apart = float(np.sqrt(np.mean((finer - predicted[name])**2)))
+        rms = errors[name].rms if problem.until else errors[name].hold_out_rms
+        if apart > _MAX_NUMERICAL * rms:
+            doubts.append(
+                f'{name} differs by {apart:.2g} from that of a run with more modes and half the '
+                f'step, a large part of its error of {rms:.2g}: take more model.modes or a '
+                'smaller integrator.step')
+    return found, doubts
 
 
-def _find_doubts(problem, scene, estimates, errors, values, run, predicted):
+def _find_doubts(estimates):
     at_bound = [name for name, each in estimates.items() if each.bound]
     if at_bound:
         yield f'at a bound, so that intervals do not hold: {", ".join(at_bound)}'
@@ -405,23 +522,3 @@ def _find_doubts(problem, scene, estimates, errors, values, run, predicted):
     if lost:
         yield (f'{", ".join(lost)} cannot be identified from this record: fix some of them, or '
                'record more outputs or another motion')
-    for name, each in errors.items():
-        noise = problem.record.outputs[name].noise
-        if noise and each.residual_rms > _MAX_NOISE_RATIO * noise:
-            yield (f'{name} is off by {each.residual_rms / noise:.1f} times its noise: the model '
-                   'lacks something, or this is not the best minimum: try other first guesses')
-    if run is None:
-        return
-    # Coordinates of static modes have no meaning in other modes.
-    try:
-        finer = refine(scene, 2, None if can_refine(scene) else 0, 0, same_equations=True)
-        again = problem.predictions(problem.run(values, scene=finer), values)
-    except (DivergenceError, ParameterError) as error:
-        yield f'the numerical error is not known: {error}'
-        return
-    for name, (_, found) in again.items():
-        apart = float(np.sqrt(np.mean((found - predicted[name])**2)))
-        if apart > _MAX_NUMERICAL * errors[name].rms:
-            yield (f'{name} differs by {apart:.2g} from that of a run with more modes and half '
-                   f'the step, a large part of its error of {errors[name].rms:.2g}: take more '
-                   'model.modes or a smaller integrator.step')

@@ -1,0 +1,162 @@
+# Copyright 2026 The timo_sim authors
+# SPDX-License-Identifier: Apache-2.0
+
+
+"""Fits that start far from the truth, fits to several records, and the record to take next."""
+
+from click.testing import CliRunner
+import numpy as np
+import pytest
+import yaml
+
+import timo_sim
+from timo_sim.cli import main
+from timo_sim.fitting.problem import Problem
+from timo_sim.fitting.start import from_record
+from timo_sim.scene.parameters import changed
+
+PERIOD, DURATION = 0.004, 2.0
+T = PERIOD * np.arange(round(DURATION / PERIOD) + 1)
+TRUTH = {'arm.young_modulus': 200e9, 'end_effector.mass': 0.05, 'motor.viscous_friction': 0.05,
+         'motor.shaft_inertia': 2e-3}
+SCENE = timo_sim.load_scene({
+    'arm.length': 0.42, 'arm.height': 0.001, 'arm.density': 7800.0, 'arm.shear_modulus': 77e9,
+    'arm.damping_ratio': [0.02], 'carrier.held': 'both', 'end_effector.inertia': 1e-5,
+    'initial.shaft': 0.0, 'integrator.step': PERIOD, **TRUTH})
+NOISE = {'shaft': 1e-3, 'tip_transverse': 5e-4}  # standard deviations [rad, m]
+SQUARE, CHIRP = 0.1 * np.sign(np.sin(6.0 * T + 0.3)), 0.1 * np.sin((6.0 + 8.0 * T) * T)
+
+
+def made(torque, seed, shaft=0.0, bias=0.0, size=1.0):
+    """Return a Record of the true scene, from a run with the torque as a load."""
+    random = np.random.default_rng(seed)
+    run = timo_sim.simulate(SCENE.vary({
+        'initial.shaft': shaft, 'load.torque.piecewise.time': T,
+        'load.torque.piecewise.value': torque}), DURATION, estimate=False)
+    clean = {'shaft': run.shaft, 'tip_transverse': run.deflection(0.42)[:, 1] + bias}
+    return timo_sim.Record.of({'torque': (T, torque)}, {
+        name: (T, values + size * NOISE[name] * random.standard_normal(len(T)))
+        for name, values in clean.items()})
+
+
+def wrong(*factors):
+    """Return the scene with guesses that are wrong by factors."""
+    return SCENE.vary({name: factor * value
+                       for factor, (name, value) in zip(factors, TRUTH.items())})
+
+
+def distances(found, truth=TRUTH):
+    """Return how far estimates are from the truth, in their standard deviations."""
+    return np.array([abs(found.estimates[name].value - value) / found.estimates[name].deviation
+                     for name, value in truth.items()])
+
+
+def test_a_fit_finds_the_truth_from_a_wrong_guess():
+    """The record begins quietly, so that its first part leads nowhere."""
+    record = made(np.where(T > 0.8, 0.1 * np.sin((6.0 + 20.0 * T) * T), 0.0), 3)
+    guess = wrong(3.0, 1 / 3.0, 1 / 3.0, 1 / 3.0)
+    with pytest.warns(timo_sim.ModelWarning):
+        alone = timo_sim.fit(guess, record, [*TRUTH], starts=1)
+    assert not alone.white
+    found = timo_sim.fit(guess, record, [*TRUTH])
+    assert distances(found).max() < 4.0
+    assert found.white
+    assert 1 < found.starts <= 16
+    assert f'{found.starts} starts were tried' in found.report()
+
+
+def test_what_a_record_suggests_is_near_the_truth():
+    """The balance of a driven shaft, however wrong the guess is that a run would begin with."""
+    guess = wrong(1 / 9.0, 3.0, 1 / 3.0, 1 / 3.0)
+    problem = Problem(guess, made(SQUARE, 1), [*TRUTH], {}, DURATION)
+    found = from_record(problem, {name: guess.values[name] for name in TRUTH})
+    # The spline through the noisy angle makes the acceleration, and so the inertia, too small.
+    assert [found[name] / value for name, value in TRUTH.items()] == pytest.approx(
+        np.ones(4), abs=0.25)
+
+
+def test_another_set_of_parameters_that_fits_as_well_is_told():
+    """Too few samples a second show a frequency and its aliases alike."""
+    period, scene = 0.2, SCENE.vary({
+        'motor.shaft': 'locked', 'model.modes': 1, 'arm.damping_ratio': [0.0],
+        'initial.modal_coordinates': [0.002]})
+    run = timo_sim.simulate(scene, 10.0, estimate=False)
+    every, random = round(period / PERIOD), np.random.default_rng(1)
+    record = timo_sim.Record.of({}, {'tip_transverse': (
+        run.t[::every], run.deflection(0.42)[::every, 1] + 1e-5 * random.standard_normal(51))})
+    found = timo_sim.fit(scene.vary({'arm.young_modulus': 210e9}), record, ['arm.young_modulus'],
+                         starts=16)
+    assert found.starts == 16
+    assert distances(found, {'arm.young_modulus': 200e9}) < 4.0
+    truth = timo_sim.modes(scene).frequency[0]
+    others = [timo_sim.modes(scene.vary(values)).frequency[0] for values in found.others]
+    assert others
+    for each in others:
+        aliases = np.abs(np.arange(-9, 10) / period + truth)
+        assert np.abs(aliases / each - 1.0).min() < 1e-3
+    assert 'another set of parameters fits as well: arm.young_modulus = ' in found.report()
+
+
+def test_records_share_the_physics_and_have_states_and_biases_of_their_own():
+    records = [made(SQUARE, 1, 0.3, 0.02), made(CHIRP, 2, -0.2, -0.01, size=3.0)]
+    found = timo_sim.fit(wrong(1.2, 0.8, 1.3, 0.9), records,
+                         [*TRUTH, 'initial.shaft', 'tip_transverse.bias'],
+                         hold_out_records=[made(SQUARE, 5, 0.9)])
+    own = {'initial.shaft (record 1)': 0.3, 'initial.shaft (record 2)': -0.2,
+           'tip_transverse.bias (record 1)': 0.02, 'tip_transverse.bias (record 2)': -0.01}
+    assert distances(found, {**TRUTH, **own}).max() < 4.0
+    # Each record has its own noise, by which it weighs; the third was predicted alone.
+    assert [each.errors['tip_transverse'].residual_rms for each in (found, *found.more)] == (
+        pytest.approx([NOISE['tip_transverse'], 3.0 * NOISE['tip_transverse'], np.nan], rel=0.1,
+                      nan_ok=True))
+    assert found.more[1].until == 0.0
+    assert found.more[1].errors['tip_transverse'].hold_out_r_squared > 0.99
+    assert found.more[1].errors['shaft'].hold_out_r_squared > 0.999
+
+
+def test_the_next_input_narrows_the_interval_as_predicted():
+    """Records made with each input, and fitted beside the first, are the oracle."""
+    first = made(SQUARE, 1)
+    found = timo_sim.fit(SCENE, first, [*TRUTH])
+    tried = found.next_input()
+    assert {each.kind for each in tried} == {'step', 'chirp', 'multisine', 'again'}
+    for each in tried:
+        both = timo_sim.fit(SCENE, [first, made(each.values, 7)], [*TRUTH])
+        ratio = (both.estimates[each.widest].deviation
+                 / found.estimates[each.widest].deviation)
+        # Deviations are those of noise which is estimated from 1000 samples, within 5 %.
+        assert ratio == pytest.approx(each.ratios[each.widest], rel=0.1)
+        assert np.abs(each.values).max() <= 0.1 + 1e-12
+    assert [each.ratios[each.widest] for each in tried] == sorted(
+        each.ratios[each.widest] for each in tried)
+
+
+def test_the_command_takes_several_records(tmp_path):
+    for name, torque in {'a': SQUARE, 'b': CHIRP, 'c': SQUARE[::-1]}.items():
+        record = made(torque, 3)
+        np.savetxt(tmp_path / f'{name}.csv', np.stack(
+            [T, torque, *(each.values for each in record.outputs.values())], axis=1),
+            delimiter=',', header='t,torque,shaft,tip_transverse', comments='')
+    (tmp_path / 'map.yaml').write_text(yaml.safe_dump({
+        'time': {'column': 't'},
+        'columns': {name: name for name in ('torque', 'shaft', 'tip_transverse')}}))
+    (tmp_path / 'arm.yaml').write_text(yaml.safe_dump({'/**': {'ros__parameters': {
+        name: [*value] if isinstance(value, tuple) else value
+        for name, value in changed(wrong(2.0, 0.5, 2.0, 0.5).values).items()}}}))
+    a, b, c, mapping, arm, further, fitted = (str(tmp_path / name) for name in (
+        'a.csv', 'b.csv', 'c.csv', 'map.yaml', 'arm.yaml', 'next.csv', 'fitted.yaml'))
+    done = CliRunner().invoke(main, [
+        'fit', a, b, '--hold-out-record', c, '--mapping', mapping, '--scene', arm, '--free',
+        *TRUTH, '--next', further, '-o', fitted])
+    assert done.exit_code == 0, done.output
+    assert 'record 3, ' in done.output
+    assert 'widest' in done.output
+    for name, value in TRUTH.items():
+        assert timo_sim.load_scene(fitted).values[name] == pytest.approx(value, rel=0.05)
+    t, torque = np.loadtxt(further, delimiter=',', skiprows=1).T
+    assert t[-1] == pytest.approx(DURATION)
+    assert np.abs(torque).max() == pytest.approx(0.1)
+    done = CliRunner().invoke(main, ['fit', a, b, '--mapping', mapping, '--mapping', mapping,
+                                     '--mapping', mapping, '--scene', arm, '--free', *TRUTH])
+    assert done.exit_code == 2
+    assert 'one mapping for all or one for each' in done.output

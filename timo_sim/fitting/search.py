@@ -1,0 +1,324 @@
+# Copyright 2026 The timo_sim authors
+# SPDX-License-Identifier: Apache-2.0
+
+"""The search for the parameters with the least sum of squares, from several starts."""
+
+from __future__ import annotations
+
+from collections.abc import Sequence
+from dataclasses import replace
+import math
+
+import numpy as np
+from scipy.optimize import least_squares
+
+from timo_sim.fitting.problem import (
+    Free, initial_states, Problem, whiteness, Window)
+from timo_sim.fitting.start import from_record
+from timo_sim.scene.parameters import ParameterError
+from timo_sim.simulation.warnings import DivergenceError
+
+LOSSES = 'linear', 'soft_l1', 'huber', 'cauchy'
+_CENTRAL, _WIDE = 3e-4, 1e-3  # steps of differences in coordinates of the fit, for intervals
+_MAX_DIFFERENCE = 0.3  # relative difference of derivatives by two steps, above which a run jumps
+_FIRST_PART = 0.25  # part of the record that is fitted first: early, runs are closer to it
+_MIN_DEVIATION = 1e-5  # least standard deviation, relative to the first
+_FIRST_DEVIATION = 0.1  # first standard deviation, relative to that of an output's values
+# Relative change of the sum of squares at which a search ends, and its step of differences. A wide
+# one does not see how dry friction makes the sum of squares jagged.
+_LOOSE, _TIGHT = (1e-4, 1e-3), (1e-7, 1e-6)
+_MAX_SEARCHES = 6  # most searches with standard deviations from the one before
+_SETTLED_CHANGE = 0.01  # relative change of standard deviations that counts as none
+_PRIOR_DEVIATION = 10.0  # standard deviation of initial states of windows, in their scales
+# Sizes of dry friction that are tried, as shares of the force that accelerates the free body.
+_FRICTION_SHARES = 0.01, 0.1, 1.0
+_SAME = 0.01  # relative difference of sums of squares below which they are the same
+_WORTHWHILE = 3.0  # ratio to the least, below which a minimum of the first part is followed
+NUMERICAL = 1e-9  # 1 - R^2 below which only numerical errors are left
+_HARDLY_WHITE = 1e-6  # probability of residuals as correlated, above which a minimum is good
+# 1 - R^2 above which other starts are tried, if one, two or three starts have led to a minimum.
+_MAX_UNEXPLAINED = 0.05, 0.2, 0.5, math.inf
+_MAX_STARTS = 16
+_NEAR = 0.1  # distance in coordinates of the fit within which two ends are one
+_SPREAD = 6.0  # factor by which starts differ from what the record suggests
+_MAD = 1.4826  # standard deviations in a median absolute deviation
+
+
+class Search:
+    """
+    A search for the least sum of squares of several problems; x are the coordinates of all `free`.
+
+    Problems share these, but biases, delays and initial states, which each has of its own:
+    `places` has for each problem where its `free` are in x. `deviations` and `against` have for
+    each problem, by output, the standard deviation of the sensor, and the least correlation with
+    the first run. `tried` starts led to x and to `others` that fit as well, values by name.
+    """
+
+    def __init__(self, problems: Sequence[Problem], loss: str) -> None:
+        self.problems, self.loss = [*problems], loss
+        names = [[f'{free.name} (record {k})' if free.is_own and len(problems) > 1 else free.name
+                  for free in each.free] for k, each in enumerate(problems, 1)]
+        found: dict[str, Free] = {}
+        for problem, own in zip(problems, names):
+            for free, name in zip(problem.free, own):
+                found.setdefault(name, replace(free, name=name))
+        self.free, order = [*found.values()], [*found]
+        self.places = [np.array([order.index(name) for name in own]) for own in names]
+        self.deviations = [{
+            name: channel.noise or _FIRST_DEVIATION * float(np.std(
+                channel.values[channel.t <= problem.until])) or 1.0
+            for name, channel in problem.record.outputs.items()} for problem in problems]
+        # Deviations have a lower bound: without noise they would fall until squares overflow.
+        self._least = [{name: _MIN_DEVIATION * each for name, each in deviations.items()}
+                       for deviations in self.deviations]
+        self.x = np.array([each.coordinate(each.start) for each in self.free])
+        self._low = np.array([each.coordinate(each.low) for each in self.free])
+        self._high = np.array([each.coordinate(each.high) for each in self.free])
+        self.windows = [(k, window) for k, each in enumerate(problems) for window in each.windows]
+        # Of each window, the Free parameters of its initial state.
+        self._states: list[list[Free]] = [[] for _ in self.windows]
+        self.against = [self._check_start(k, problem) for k, problem in enumerate(problems)]
+        self._prior = np.zeros(0)
+        self.others: list[dict[str, float]] = []
+        self.tried = 1
+
+    def run(self, starts: int | None) -> None:
+        """Find x and the standard deviations of the sensors; `starts` is as for `fit`."""
+        ends = []
+        if not self.windows[0][1].names:
+            ends = self._try_starts(starts)
+        else:
+            self._states = [states for k, problem in enumerate(self.problems)
+                            for states in initial_states(problem, self.values(self.x, k))]
+            every = [each for states in self._states for each in states]
+            start = np.array([each.coordinate(each.start) for each in every])
+            self.x, self._prior = np.concatenate([self.x, start]), start
+            self._low = np.concatenate([self._low, np.full(len(every), -np.inf)])
+            self._high = np.concatenate([self._high, np.full(len(every), np.inf)])
+        for _ in range(_MAX_SEARCHES):
+            self._solve(_LOOSE)
+            if self._estimate_deviations() < _SETTLED_CHANGE:
+                break
+        least = self._solve(_TIGHT)
+        minima = [self.x]
+        for x in ends:
+            if self._solve(_TIGHT, x) - least < _SAME * least and all(
+                    self._is_apart(self.x, each, least) for each in minima):
+                minima.append(self.x)
+        self.x = minima[0]
+        self.others = [{free.name: free.value(at) for free, at in zip(self.free, x)}
+                       for x in minima[1:]]
+        self._estimate_deviations()
+
+    def _is_apart(self, x, other, least):
+        """Return whether x is another minimum, and not another where the record tells nothing."""
+        linear = self.jacobian(other, _WIDE, False) @ (x - other)
+        return 0.5 * linear @ linear > _SAME * least
+
+    def _try_starts(self, starts):
+        """Move x to the best minimum from several starts; return the others that are as good."""
+        whole, parts, costs, reached, ends = self.windows, [], [], [], []
+        first = [(k, Window(0.0, _FIRST_PART * window.end, ())) for k, window in whole]
+        for self.tried, x in enumerate(self._starts(starts or _MAX_STARTS), 1):
+            self.windows, cost = first, math.inf
+            part = self._solve(_LOOSE, x)
+            self.windows, reached = whole, [*reached, self.x]
+            # A quiet first part is fitted alike from everywhere: where its fit ends counts.
+            known = [old for old, each in zip(costs, reached) if np.allclose(
+                self.x, each, 0.0, _NEAR)]
+            if known:
+                cost = known[0]
+            elif part <= _WORTHWHILE * min(parts, default=math.inf):
+                cost = self._solve(_LOOSE, self.x)
+                ends.append((cost, self.x))
+            parts.append(part)
+            costs.append(cost)
+            best, self.x = min(ends, key=lambda end: end[0])
+            found = sum(each <= (1.0 + _SAME) * best for each in costs)
+            if starts is None and not self._is_doubtful(found):
+                break
+        return [x for cost, x in ends if x is not self.x and cost <= (1.0 + _SAME) * best]
+
+    def _is_doubtful(self, found):
+        """Return whether x, which some starts have `found`, may not be the best minimum."""
+        most = _MAX_UNEXPLAINED[min(found, len(_MAX_UNEXPLAINED)) - 1]
+        return any(
+            np.mean((r * self.deviations[k][name])**2) > most * np.var(measured)
+            and whiteness(r) < _HARDLY_WHITE for r, (k, name, measured) in zip(
+                self._split_rows(self._residuals(self.x)), self.series()))
+
+    def _starts(self, count):
+        """Yield x of the first guess, of what records suggest, and of points around that."""
+        guess = around = self.x
+        yield guess
+        for k, problem in enumerate(self.problems[:count - 1]):
+            around = guess.copy()
+            found = from_record(problem, self.values(guess, k))
+            around[self.places[k]] = [free.coordinate(found[free.name]) for free in problem.free]
+            yield around
+        # A Latin hypercube: each parameter has each of its values once.
+        random, grid = np.random.default_rng(0), np.linspace(
+            -math.log(_SPREAD), math.log(_SPREAD), max(count - 1 - len(self.problems), 0))
+        for shift in np.stack([random.permutation(grid) for _ in guess], axis=1):
+            yield around + np.where([free.log for free in self.free], shift, 0.0)
+
+    def _check_start(self, k, problem):
+        values, against = self.values(self.x, k), {}
+        try:
+            run = problem.run(values, 0.0, problem.until)
+            predicted = problem.predictions(run, values, 0.0, problem.until)
+            every = problem.measurements(Window(0.0, problem.until, ()))
+            # The least correlation of all samples and of those of the first part.
+            for name, (t, seen) in predicted.items():
+                for part in (t <= problem.until, t <= _FIRST_PART * problem.until):
+                    if part.sum() > 2 and np.ptp(seen[part]) and np.ptp(every[name][part]):
+                        each = float(np.corrcoef(seen[part], every[name][part])[0, 1])
+                        against[name] = min(each, against.get(name, 0.0))
+        except (DivergenceError, ParameterError) as error:
+            if isinstance(error, ParameterError) or not problem.windows[0].names:
+                raise ParameterError('the record cannot be predicted with the first guess: '
+                                     f'{error}') from None
+        return against
+
+    def _solve(self, accuracy, x=None):
+        """Move x to the minimum nearest to itself, or to a given x; return half its squares."""
+        tolerance, step = accuracy
+        found = least_squares(
+            self._residuals, np.clip(self.x if x is None else x, self._low, self._high),
+            lambda x: self.jacobian(x, step, False), (self._low, self._high), x_scale='jac',
+            loss=self.loss, ftol=tolerance, xtol=tolerance, gtol=1e-12, max_nfev=60)
+        self.x = found.x
+        return found.cost
+
+    def values(self, x: np.ndarray, k: int) -> dict[str, float]:
+        """Return the values of the free parameters of problem `k`, by the problem's names."""
+        return self.problems[k].values(x[self.places[k]])
+
+    def states(self, x: np.ndarray) -> list[dict[str, float]]:
+        """Return the values of the initial state of each window, by name."""
+        coordinates = iter(x[len(self.free):])
+        return [{each.name: each.value(next(coordinates)) for each in every}
+                for every in self._states]
+
+    def series(self) -> list[tuple[int, str, np.ndarray]]:
+        """Return the series of residuals: problem, output, and what was measured."""
+        return [(k, name, measured) for k, window in self.windows
+                for name, measured in self.problems[k].measurements(window).items()]
+
+    def _residuals_of(self, x, w, more=None):
+        k, window = self.windows[w]
+        return self.problems[k].residuals({**self.values(x, k), **(more or {})},
+                                          self.deviations[k], window, self.states(x)[w])
+
+    def _residuals(self, x, more=None):
+        parts = [self._residuals_of(x, w, more) for w in range(len(self.windows))]
+        return np.concatenate([*parts, (x[len(self.free):] - self._prior) / _PRIOR_DEVIATION])
+
+    def jacobian(self, x: np.ndarray, step: float = _CENTRAL, central: bool = True) -> np.ndarray:
+        """Return the derivatives of the residuals by x, from differences of runs."""
+        count, here = len(self.free), self._residuals(x)
+        sizes = [sum(map(len, self.problems[k].measurements(window).values()))
+                 for k, window in self.windows]
+        edges = np.concatenate([[0], np.cumsum(sizes)])
+        found = np.zeros((len(here), len(x)))
+        # All windows of a problem depend on its parameters, and one on its initial state.
+        windows = [[w for w, (k, _) in enumerate(self.windows) if place in self.places[k]]
+                   for place in range(count)] + [
+            [w] for w, state in enumerate(self._states) for _ in state]
+        for k in range(len(x)):
+            size = step
+            if central and k < count and '.delay' in self.free[k].name:
+                # A delay is varied by whole steps: within a step the run depends on it only
+                # through the interpolation of the load.
+                size = self.problems[0].scene.step / self.free[k].scale * (step / _CENTRAL)
+            size = size if x[k] + size <= self._high[k] else -size
+            shift = size * (np.arange(len(x)) == k)
+            two_sided = central and self._low[k] <= x[k] - size <= self._high[k]
+            for w in windows[k]:
+                rows = slice(edges[w], edges[w + 1])
+                other = self._residuals_of(x - shift, w) if two_sided else here[rows]
+                found[rows, k] = (self._residuals_of(x + shift, w) - other) / (
+                    2.0 * size if two_sided else size)
+        found[edges[-1]:, count:] = np.eye(len(x) - count) / _PRIOR_DEVIATION
+        return found
+
+    def _split_rows(self, rows):
+        """Return the rows of each output in each window, and those of the initial states."""
+        return np.split(rows, np.cumsum([len(measured) for *_, measured in self.series()]))
+
+    def _estimate_deviations(self):
+        """Estimate the standard deviations of the sensors; return the largest relative change."""
+        rows, change = self._split_rows(self._residuals(self.x)), 0.0
+        of_sensor = {}
+        for (k, name, _), r in zip(self.series(), rows):
+            of_sensor.setdefault((k, name), []).append(r)
+        for (k, name), parts in of_sensor.items():
+            r, deviation = np.concatenate(parts), self.deviations[k][name]
+            size = math.sqrt(np.mean(r**2)) if self.loss == 'linear' else (
+                _MAD * float(np.median(np.abs(r))))
+            known = self.problems[k].record.outputs[name].noise
+            new = max(size * deviation, known or self._least[k][name])
+            if not known or new > 1.5 * known:
+                change = max(change, abs(new / deviation - 1.0))
+                self.deviations[k][name] = new
+        return change
+
+    def derivatives(self) -> tuple[list[np.ndarray], list[np.ndarray], list[str],
+                                   dict[str, tuple[float, float]]]:
+        """
+        Return the derivatives at the end: jacobians, residuals, jumps, friction.
+
+        The first two are lists of ndarray, (n_i, p + k) and (n_i,), of each output in each window,
+        and of the prior of k initial states of windows; with a loss other than `linear` they have
+        its weights. `jumps` names parameters on which runs depend in jumps. `friction` has, by
+        name of a parameter of dry friction that the scene has not got, the part of the squares of
+        the residuals that it would explain, and its value.
+        """
+        jacobian, residuals = self.jacobian(self.x), self._residuals(self.x)
+        wide, count = self.jacobian(self.x, _WIDE), len(self.free)
+        size, other = np.linalg.norm(jacobian, axis=0), np.linalg.norm(wide, axis=0)
+        rough = np.linalg.norm(jacobian - wide, axis=0) > _MAX_DIFFERENCE * np.minimum(size, other)
+        # Where a run jumps, the smaller derivative is taken: it makes the interval wider.
+        jacobian[:, rough & (other < size)] = wide[:, rough & (other < size)]
+        jumps = [free.name for free, jumps in zip(self.free, rough[:count]) if jumps]
+        weight = {'linear': lambda z: np.ones_like(z), 'soft_l1': lambda z: (1.0 + z)**-0.5,
+                  'huber': lambda z: np.where(z <= 1.0, 1.0, 1.0 / np.sqrt(np.maximum(z, 1.0))),
+                  'cauchy': lambda z: 1.0 / (1.0 + z)}[self.loss](residuals**2)
+        root = np.sqrt(weight)
+        friction = self._friction(jacobian * root[:, np.newaxis], residuals, root)
+        root[len(root) - len(self._prior):] = 1.0  # the prior has no weights
+        jacobians, parts = (self._split_rows(rows) for rows in (
+            jacobian * root[:, np.newaxis], residuals * root))
+        used = len(parts) - (not len(self._prior))
+        return jacobians[:used], parts[:used], jumps, friction
+
+    def _friction(self, jacobian, residuals, root):
+        """Return what dry friction would explain beside all that is free, see `derivatives`."""
+        problem, found = self.problems[0], {}
+        values, state = self.values(self.x, 0), self.states(self.x)[0]
+        scene = problem.scene_of(values, state)
+        try:
+            run = problem.run(values, 0.0, problem.until, state)
+        except DivergenceError:
+            return found
+        motion = run.values[:, run.values.shape[1] // 2:][:, :3]
+        needed = np.abs(np.diag(run.model.mass_matrix(run.values[0])[0])[:3] * np.sqrt(
+            np.mean(np.gradient(motion, run.t, axis=0)**2, axis=0)))
+        free, _ = np.linalg.qr(jacobian)
+        left = root * residuals
+        left -= free @ (free.T @ left)
+        for name, size in (('carrier.coulomb_friction', needed[:2].max()),
+                           ('motor.coulomb_friction', needed[2])):
+            if not size or scene.values[name]:
+                continue
+            for each in _FRICTION_SHARES:
+                try:
+                    scene.vary({name: each * size})
+                except ParameterError:
+                    continue
+                changed = root * (self._residuals(self.x, {name: each * size}) - residuals)
+                changed -= free @ (free.T @ changed)
+                fall, power = -(changed @ left), changed @ changed
+                if fall > 0.0 and fall**2 > found.get(name, (0.0, 0.0))[0] * power * (left @ left):
+                    found[name] = fall**2 / (power * (left @ left)), fall / power * each * size
+        return found
