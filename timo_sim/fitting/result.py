@@ -21,6 +21,7 @@ from timo_sim.fitting.record import read_log, read_record, Record, SUFFIXES, uni
 from timo_sim.fitting.problem import (
     covariance, NORMAL, Problem, r_squared, unidentified_combinations, whiteness)
 from timo_sim.fitting.search import LOSSES, NUMERICAL, Search
+from timo_sim.fitting.suspects import name_suspects, Suspect, suspects
 from timo_sim.runs.run import Run
 from timo_sim.scene.files import whole_file
 from timo_sim.scene.parameters import changed, Parameter, ParameterError, short, warn
@@ -167,6 +168,9 @@ class Fit(Prediction):
         Of further records, with those that were held out at the end.
     search, information : Search, ndarray of shape (p, p)
         With the coordinates of the minimum; the inverse of their covariance for white residuals.
+    suspects : list of Suspect
+        What the scene may lack, that of the largest share of the squares of the residuals first;
+        empty if these are white.
 
     """
 
@@ -182,6 +186,7 @@ class Fit(Prediction):
     more: list = field(default_factory=list)
     search: Any = None
     information: Any = None
+    suspects: list[Suspect] = field(default_factory=list)
 
     @property
     def values(self) -> dict[str, float]:
@@ -343,7 +348,7 @@ def fit(scene: SceneLike | None, record: RecordLike | Sequence[RecordLike], free
     search = Search(problems, loss)
     search.run(starts)
     names, count = [free.name for free in search.free], len(search.free)
-    jacobians, residuals, jumps, friction = search.derivatives()
+    jacobians, residuals, jumps = search.derivatives()
     seconds = time.monotonic() - begun
     x, states = search.x[:count], search.states(search.x)
     spread, white = covariance(jacobians, residuals)
@@ -385,12 +390,14 @@ def fit(scene: SceneLike | None, record: RecordLike | Sequence[RecordLike], free
         found, told = _predict(problem, values, initial.get(k), {
             name: series.get((k, name), []) for name in problem.record.outputs})
         predictions.append(found)
-        if k < len(measured):
-            told[:0] = _possible_causes(found.errors, search.against[k],
-                                        {} if white or k else friction)
         doubts += [f'{each} (record {k + 1})' if len(problems) > 1 else each for each in told]
-    # The derivatives by the parameters that initial states of windows cannot make up for.
     whole = np.concatenate(jacobians)
+    likely = []
+    if not white and any(1.0 - each.r_squared > NUMERICAL for found in predictions
+                         for each in found.errors.values()):
+        likely = suspects(search, whole, np.concatenate(residuals))
+        doubts[:0] = name_suspects(likely)
+    # The derivatives by the parameters that initial states of windows cannot make up for.
     q, _ = np.linalg.qr(whole[:, count:])
     own = whole[:, :count] - q @ (q.T @ whole[:, :count])
     parts = unidentified_combinations(
@@ -399,7 +406,7 @@ def fit(scene: SceneLike | None, record: RecordLike | Sequence[RecordLike], free
     first, *more = predictions
     found = Fit(first.record, first.errors, first.run, first.predicted, first.until, fitted,
                 estimates, correlation, parts, white, doubts, seconds, search.tried,
-                search.others, more, search, own.T @ own)
+                search.others, more, search, own.T @ own, likely)
     if doubts:
         warn('; '.join(doubts))
     return found
@@ -445,27 +452,8 @@ def _read(scene, record, mapping):
 
 _AT_BOUND = 1e-3  # distance from a bound, in coordinates of the fit, that counts as none
 _MIN_SAMPLES = 10  # samples of a part whose errors are worth a number
-_ANTICORRELATED = -0.5  # correlation below which a sign may be the other one
-_MIN_R_SQUARED = 0.5  # R^2 below which an output is not predicted
-_MIN_EXPLAINED = 0.2  # part of the squares of residuals from which on its cause is named
 _MAX_NOISE_RATIO = 2.0  # ratio of a residual to the known noise, above which there is a warning
 _MAX_NUMERICAL = 0.2  # part of a residual that may be numerical error
-
-
-def _possible_causes(errors, against, friction):
-    """Yield what may be wrong with a record or a scene that do not agree."""
-    if not all(each.r_squared > _MIN_R_SQUARED for each in errors.values()):
-        for name, correlation in against.items():
-            if correlation < _ANTICORRELATED:
-                yield (f'{name} is anticorrelated with a run of the first guess '
-                       f'({correlation:.2f}): its sign, or that of an input, may be the other one '
-                       '(scale: -1 in the mapping)')
-    for name, (share, value) in friction.items():
-        if share > _MIN_EXPLAINED and any(1.0 - each.r_squared > NUMERICAL
-                                          for each in errors.values()):
-            yield (f'dry friction, which the scene has not got, would explain {100.0 * share:.0f} '
-                   f'% of the squares of the residuals: set {name} to about {value:.2g}, and free '
-                   'it')
 
 
 def _predict(problem, values, initial, residuals):
