@@ -20,6 +20,7 @@ from timo_sim.fitting.next import next_inputs, NextInput
 from timo_sim.fitting.record import read_log, read_record, Record, SUFFIXES, unit_of
 from timo_sim.fitting.problem import (
     covariance, NORMAL, Problem, r_squared, unidentified_combinations, whiteness)
+from timo_sim.fitting.posterior import Posterior, Samples
 from timo_sim.fitting.search import LOSSES, NUMERICAL, Search
 from timo_sim.fitting.suspects import name_suspects, Suspect, suspects
 from timo_sim.runs.run import Run
@@ -43,6 +44,8 @@ class Estimate:
 
     `deviation` is the standard deviation; of a positive parameter that of its logarithm times its
     value. `start` is the first guess; `bound` is 'low' or 'high' if it is at this bound, else ''.
+    `profile` says that the interval is where the least squares with this parameter held have
+    risen by as much, because they are not quadratic; there it need not be symmetric.
     """
 
     value: float
@@ -53,6 +56,7 @@ class Estimate:
     unit: str
     identified: bool
     bound: str
+    profile: bool = False
 
 
 @dataclass(frozen=True)
@@ -171,6 +175,8 @@ class Fit(Prediction):
     suspects : list of Suspect
         What the scene may lack, that of the largest share of the squares of the residuals first;
         empty if these are white.
+    posterior : Posterior
+        From which `sample` draws.
 
     """
 
@@ -187,6 +193,7 @@ class Fit(Prediction):
     search: Any = None
     information: Any = None
     suspects: list[Suspect] = field(default_factory=list)
+    posterior: Any = None
 
     @property
     def values(self) -> dict[str, float]:
@@ -213,6 +220,11 @@ class Fit(Prediction):
                  for i, first in enumerate([*self.estimates][:j])
                  if first in self.values and second in self.values
                  and abs(self.correlation[i, j]) > _HIGH_CORRELATION]
+        profiles = [name for name, each in self.estimates.items() if each.profile]
+        if profiles:
+            lines += ['', 'the squares are not quadratic within the interval of '
+                      f'{", ".join(profiles)}: it is where refits with the parameter held are as '
+                      'much worse']
         lines += ['', 'correlation above 0.95: ' + (', '.join(pairs) or 'none')]
         lines += ['not identified: ' + ' '.join(
             f'{part:+.2f} {name}' for name, part in parts.items()) for parts in self.unidentified]
@@ -229,6 +241,21 @@ class Fit(Prediction):
             'white' if self.white else 'not white, so the model lacks something; intervals '
             'allow for correlated residuals')]
         return '\n'.join([*lines, *(f'warning: {each}' for each in self.warnings)])
+
+    def sample(self, n: int, seed: int = 0) -> Samples:
+        """
+        Return n Samples of the parameters that the records allow, each as likely as the others.
+
+        They come from the normal distribution of the coordinates, whose covariance allows for
+        correlated residuals. If an interval is that of a profile, 1000 draws from a wider one are
+        weighted by the squares of their runs. Raises ParameterError if a parameter is not
+        identified, since the records then allow any value of it.
+        """
+        lost = [name for name, each in self.estimates.items() if not each.identified]
+        if lost:
+            raise ParameterError(f'samples need parameters that are identified: fix {lost[0]}')
+        profiled = any(each.profile for each in self.estimates.values())
+        return self.posterior.sample(n, seed, self.scene, not profiled)
 
     def next_input(self, limit: float | None = None,
                    duration: float | None = None) -> list[NextInput]:
@@ -352,21 +379,26 @@ def fit(scene: SceneLike | None, record: RecordLike | Sequence[RecordLike], free
     seconds = time.monotonic() - begun
     x, states = search.x[:count], search.states(search.x)
     spread, white = covariance(jacobians, residuals)
+    whole = np.concatenate(jacobians)
+    posterior = Posterior(search, whole, spread)
     spread = spread[:count, :count]
     sigma = np.sqrt(np.diag(spread))
+    halves = NORMAL * sigma
+    known = [bool(half < (1.0 if each.log else max(1.0, abs(at))))
+             for each, at, half in zip(search.free, x, halves)]
+    profiles = posterior.intervals(np.flatnonzero(known))
     estimates = {}
-    for each, at, deviation in zip(search.free, x, sigma):
-        value, half = each.value(at), NORMAL * deviation
-        identified = bool(half < (1.0 if each.log else max(1.0, abs(at))))
+    for k, (each, at, half, identified) in enumerate(zip(search.free, x, halves, known)):
+        value = each.value(at)
         edges = each.coordinate(each.low), each.coordinate(each.high)
         bound = next((name for name, edge in zip(('low', 'high'), edges)
                       if abs(at - edge) < _AT_BOUND), '')
-        low, high = ((each.value(at - half), each.value(at + half)) if identified
+        low, high = (map(each.value, profiles.get(k, (at - half, at + half))) if identified
                      else (math.nan, math.nan))
         estimates[each.name] = Estimate(
             value if identified else math.nan, low, high,
-            deviation * (value if each.log else each.scale) if identified else math.nan,
-            each.start, each.unit, identified, bound)
+            sigma[k] * (value if each.log else each.scale) if identified else math.nan,
+            each.start, each.unit, identified, bound, k in profiles)
     doubts, predictions = [], []
     if jumps:
         cause = ', as with dry friction' if start.friction.any() else ''
@@ -391,7 +423,6 @@ def fit(scene: SceneLike | None, record: RecordLike | Sequence[RecordLike], free
             name: series.get((k, name), []) for name in problem.record.outputs})
         predictions.append(found)
         doubts += [f'{each} (record {k + 1})' if len(problems) > 1 else each for each in told]
-    whole = np.concatenate(jacobians)
     likely = []
     if not white and any(1.0 - each.r_squared > NUMERICAL for found in predictions
                          for each in found.errors.values()):
@@ -406,7 +437,7 @@ def fit(scene: SceneLike | None, record: RecordLike | Sequence[RecordLike], free
     first, *more = predictions
     found = Fit(first.record, first.errors, first.run, first.predicted, first.until, fitted,
                 estimates, correlation, parts, white, doubts, seconds, search.tried,
-                search.others, more, search, own.T @ own, likely)
+                search.others, more, search, own.T @ own, likely, posterior)
     if doubts:
         warn('; '.join(doubts))
     return found

@@ -70,8 +70,8 @@ class Search:
         self._least = [{name: _MIN_DEVIATION * each for name, each in deviations.items()}
                        for deviations in self.deviations]
         self.x = np.array([each.coordinate(each.start) for each in self.free])
-        self._low = np.array([each.coordinate(each.low) for each in self.free])
-        self._high = np.array([each.coordinate(each.high) for each in self.free])
+        self.low = np.array([each.coordinate(each.low) for each in self.free])
+        self.high = np.array([each.coordinate(each.high) for each in self.free])
         self.windows = [(k, window) for k, each in enumerate(problems) for window in each.windows]
         # Of each window, the Free parameters of its initial state.
         self._states: list[list[Free]] = [[] for _ in self.windows]
@@ -91,8 +91,8 @@ class Search:
             every = [each for states in self._states for each in states]
             start = np.array([each.coordinate(each.start) for each in every])
             self.x, self._prior = np.concatenate([self.x, start]), start
-            self._low = np.concatenate([self._low, np.full(len(every), -np.inf)])
-            self._high = np.concatenate([self._high, np.full(len(every), np.inf)])
+            self.low = np.concatenate([self.low, np.full(len(every), -np.inf)])
+            self.high = np.concatenate([self.high, np.full(len(every), np.inf)])
         for _ in range(_MAX_SEARCHES):
             self._solve(_LOOSE)
             if self._estimate_deviations() < _SETTLED_CHANGE:
@@ -180,8 +180,8 @@ class Search:
         """Move x to the minimum nearest to itself, or to a given x; return half its squares."""
         tolerance, step = accuracy
         found = least_squares(
-            self.residuals, np.clip(self.x if x is None else x, self._low, self._high),
-            lambda x: self.jacobian(x, step, False), (self._low, self._high), x_scale='jac',
+            self.residuals, np.clip(self.x if x is None else x, self.low, self.high),
+            lambda x: self.jacobian(x, step, False), (self.low, self.high), x_scale='jac',
             loss=self.loss, ftol=tolerance, xtol=tolerance, gtol=1e-12, max_nfev=60)
         self.x = found.x
         return found.cost
@@ -228,9 +228,9 @@ class Search:
                 # A delay is varied by whole steps: within a step the run depends on it only
                 # through the interpolation of the load.
                 size = self.problems[0].scene.step / self.free[k].scale * (step / _CENTRAL)
-            size = size if x[k] + size <= self._high[k] else -size
+            size = size if x[k] + size <= self.high[k] else -size
             shift = size * (np.arange(len(x)) == k)
-            two_sided = central and self._low[k] <= x[k] - size <= self._high[k]
+            two_sided = central and self.low[k] <= x[k] - size <= self.high[k]
             for w in windows[k]:
                 rows = slice(edges[w], edges[w + 1])
                 other = self._residuals_of(x - shift, w) if two_sided else here[rows]
