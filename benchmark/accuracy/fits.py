@@ -427,7 +427,7 @@ def certified(seed, duration, samples):
     true = np.ravel(certify.slew([arm], *stroke))
     predicted = np.array(certify.slew(
         [found.scene.vary(each) for each in found.sample(samples, seed).variations], *stroke))
-    low, high = np.quantile(predicted, [0.025, 0.975], axis=1)
+    low, high = np.quantile(predicted, [0.025, 0.975], axis=1, method='weibull')
     return [[*map(float, (low <= true) & (true <= high))], [*map(float, (high - low) / true)],
             float(any(each.profile for each in found.estimates.values()))]
 
@@ -453,7 +453,7 @@ PARTS = {
     'windows': lambda quick: against(['rest', 'initial', 'window'], 2 if quick else 6, 4.0),
     'starts': lambda quick: starts(4 if quick else 100, 10.0),
     'suspects': lambda quick: all_suspected(1 if quick else 10, 4.0),
-    'loops': lambda quick: coverage_of_loops(4 if quick else 200, 4.0, 400)}
+    'loops': lambda quick: coverage_of_loops(4 if quick else 200, 2.0, 200)}
 
 
 def main():

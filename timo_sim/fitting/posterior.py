@@ -23,11 +23,12 @@ from timo_sim.scene.parameters import Parameter, ParameterError, PARAMETERS, tod
 from timo_sim.scene.scene import overrides_of, Scene
 
 _MAX_RATIO = 1.5  # of the rise of squares at the ends of an interval to the quadratic one
-_NEAR = 0.03  # relative distance from the end of a profile interval that counts as none
-_MAX_REFITS = 6  # for an end of a profile interval
+_NEAR = 0.01  # relative distance from the end of a profile interval that counts as none
+_MAX_REFITS = 10  # for an end of a profile interval
 _MAX_STEPS, _SETTLED = 3, 0.05  # of Gauss and Newton in a refit; fall of squares that ends it
 _FREEDOM = 5.0  # degrees of freedom of Student's distribution from which weighted samples come
-_DRAWS = 1000  # draws that are weighted by runs
+_MIN_DRAWS, _MAX_DRAWS = 100, 1000  # draws that are weighted by runs
+_FAR = 3.0  # deviations up to which the volume of a draw is followed
 _COUNT = Parameter('n', 1, '', '', low=1)
 
 
@@ -81,11 +82,13 @@ class Posterior:
         goal = self._minimum + (self.jacobian @ (x - self.search.x) if held is None else 0.0)
         rows = self._rows(x)
         for _ in range(_MAX_STEPS):
-            better = x.copy()
-            better[some] -= solve @ (rows - goal)
-            better = self._within(better)
+            move = np.zeros(len(x))
+            move[some] = solve @ (goal - rows)
+            better = self._within(x + move)
+            if np.sum((self.jacobian @ (better - x))**2) < _SETTLED:
+                break
             found = self._rows(better)
-            if not np.sum((found - goal)**2) < np.sum((rows - goal)**2) - _SETTLED:
+            if not np.sum((found - goal)**2) < np.sum((rows - goal)**2):
                 break
             x, rows = better, found
         return x, rows @ rows - self._minimum @ self._minimum
@@ -123,31 +126,29 @@ class Posterior:
             size *= np.clip(factor, 0.3, 3.0)
         return x[k]
 
-    def sample(self, n: int, seed: int, scene: Scene, quadratic: bool) -> Samples:
-        """Return Samples, see `Fit.sample`; if not `quadratic`, they are weighted by runs."""
+    def sample(self, n: int, seed: int, scene: Scene) -> Samples:
+        """Return Samples, see `Fit.sample`."""
         n, search = _COUNT.check(n), self.search
-        random = np.random.default_rng(seed)
-        size, axes = np.linalg.eigh(self.spread)
-        z = random.standard_normal((n if quadratic else _DRAWS, len(size)))
-        if not quadratic:
-            z *= np.sqrt(_FREEDOM / random.chisquare(_FREEDOM, (len(z), 1)))
-        moves = z * np.sqrt(np.maximum(size, 0.0)) @ axes.T
-        x = search.x + moves
-        inside = np.all((search.low <= x) & (x <= search.high), axis=1)
-        weights = inside.astype(float)
-        if not quadratic:
-            power = np.sum(z**2, axis=1)
-            settled = [self._settle(each) for each in x[inside]]
-            x[inside] = [each for each, _ in settled]
-            rise = np.full(len(x), np.inf)
-            rise[inside] = [each for _, each in settled]
-            found = (-0.5 * rise * power / np.sum((moves @ self.jacobian.T)**2, axis=1)
+        random, (size, axes) = np.random.default_rng(seed), np.linalg.eigh(self.spread)
+        axes *= np.sqrt(np.maximum(size, 0.0))
+        z = random.standard_normal((max(_MIN_DRAWS, min(n, _MAX_DRAWS)), len(size)))
+        z *= np.sqrt(_FREEDOM / random.chisquare(_FREEDOM, (len(z), 1)))
+        moves, power = z @ axes.T, np.sum(z**2, axis=1)
+        moved = [self._settle(search.x + each) for each in moves]
+        x, rise = np.array([each for each, _ in moved]), np.array([each for _, each in moved])
+        # The volume that moving makes of a small one, from that at one deviation on each axis.
+        up, down = np.transpose([[self._volume(sign * axis) for sign in (1.0, -1.0)]
+                                 for axis in axes.T])
+        near = np.clip(z, -_FAR, _FAR)
+        volume = near @ (0.5 * (up - down)) + near**2 @ (0.5 * (up + down))
+        logarithm = (volume - 0.5 * rise * power / np.sum((moves @ self.jacobian.T)**2, axis=1)
                      + 0.5 * (_FREEDOM + len(size)) * np.log1p(power / _FREEDOM))
-            weights = np.exp(found - found.max())
+        logarithm[np.any((search.low >= x) | (x >= search.high), axis=1)] = -np.inf
+        weights = np.exp(logarithm - logarithm.max())
         weights /= weights.sum()
-        if not (quadratic and inside.all()):  # systematic resampling
-            places = np.searchsorted(np.cumsum(weights), (np.arange(n) + random.random()) / n)
-            x = random.permutation(x[places.clip(max=len(x) - 1)])
+        # Systematic resampling: each draw as often as its weight says, or once more.
+        places = np.searchsorted(np.cumsum(weights), (np.arange(n) + random.random()) / n)
+        x = random.permutation(x[places.clip(max=len(x) - 1)])
         values = {free.name: np.array([free.value(each) for each in column])
                   for free, column in zip(search.free, x.T)}
         own = [free.name for free in search.free if not free.is_own
@@ -155,3 +156,9 @@ class Posterior:
         return Samples(values, [
             overrides_of(dict(zip(own, map(float, row))), scene)
             for row in zip(*(values[name] for name in own))], float(1.0 / np.sum(weights**2)))
+
+    def _volume(self, move):
+        """Return the logarithm of the volume that `_settle` makes of a small one at a move."""
+        x, _ = self._settle(self.search.x + move)
+        local = self._root[:, np.newaxis] * self.search.jacobian(x, central=False)
+        return -np.linalg.slogdet(self._inverse @ local)[1]

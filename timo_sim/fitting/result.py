@@ -246,16 +246,14 @@ class Fit(Prediction):
         """
         Return n Samples of the parameters that the records allow, each as likely as the others.
 
-        They come from the normal distribution of the coordinates, whose covariance allows for
-        correlated residuals. If an interval is that of a profile, 1000 draws from a wider one are
-        weighted by the squares of their runs. Raises ParameterError if a parameter is not
-        identified, since the records then allow any value of it.
+        Up to 1000 draws from a wider distribution are weighted by the squares of their runs, about
+        two for each. Raises ParameterError if a parameter is not identified, since the records
+        then allow any value of it.
         """
         lost = [name for name, each in self.estimates.items() if not each.identified]
         if lost:
             raise ParameterError(f'samples need parameters that are identified: fix {lost[0]}')
-        profiled = any(each.profile for each in self.estimates.values())
-        return self.posterior.sample(n, seed, self.scene, not profiled)
+        return self.posterior.sample(n, seed, self.scene)
 
     def next_input(self, limit: float | None = None,
                    duration: float | None = None) -> list[NextInput]:
