@@ -7,8 +7,8 @@ How likely a closed loop keeps its bounds, given all that a record says of the a
     python example/certify.py
 
 A record of an arm is fitted. Then a PD controller slews 10 000 arms that the record allows
-(`Fit.sample`), together in a `Batch`, each with its own noise of the encoder and a stroke on the tip:
-of another strength, at another time. Of these runs those within bounds are counted.
+(`Fit.sample`), together in a `Batch`, each with its own noise of the encoder and a stroke on the
+tip, of another strength, at another time. Of these runs those within bounds are counted.
 """
 
 from argparse import ArgumentParser
@@ -55,8 +55,8 @@ def slew(scenes, stroke=0.0, begin=0.0, noise=0.0, seed=0):
     """
     Slew all arms by PD; return overshoot, (n,), as a part of the slew, and time to settle [s].
 
-    `stroke` [N] and `begin` [s], floats or (n,), are force and time of the strokes. A run that never
-    settles counts as settled at its end.
+    `stroke` [N] and `begin` [s], floats or (n,), are force and time of the strokes. A run that
+    never settles counts as settled at its end.
     """
     batch, random = timo_sim.Batch(scenes), np.random.default_rng(seed)
     last, angles = np.zeros(batch.n), []
@@ -103,8 +103,8 @@ def main():
         low, high = between(kept.sum(), n)
         print(f'{text}: {100.0 * kept.mean():.1f} % of {n} runs, 95 % interval '
               f'{100.0 * low:.1f} to {100.0 * high:.1f} %')
-    print(f'95 % of the runs overshoot by {100.0 * np.quantile(overshoot, 0.95):.1f} % at most '
-          f'and settle within {np.quantile(settled, 0.95):.2f} s; {time.monotonic() - begun:.0f} s')
+    print(f'95 % of the runs overshoot by {100.0 * np.quantile(overshoot, 0.95):.1f} % at most and '
+          f'settle within {np.quantile(settled, 0.95):.2f} s; {time.monotonic() - begun:.0f} s')
 
 
 if __name__ == '__main__':

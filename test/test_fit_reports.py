@@ -4,6 +4,7 @@
 
 """What a fit says beyond its estimates: suspects, profile intervals, samples."""
 
+from pathlib import Path
 import warnings
 
 import numpy as np
@@ -71,7 +72,7 @@ def test_what_a_record_has_and_the_scene_lacks_is_the_first_suspect(name, made):
 
 
 def test_the_size_of_a_suspect_is_that_of_the_record():
-    """To first order: dry friction of 0.03 N m is one of the sizes between those that are tried."""
+    """To first order, for dry friction of 0.03 N m."""
     advice = fit(record({'motor.coulomb_friction': 0.03})).suspects[0].advice
     assert float(advice.split()[4].rstrip(',')) == pytest.approx(0.03, rel=0.2)
 
@@ -110,9 +111,11 @@ def rigid():
         'arm.length': 0.1, 'arm.height': 1e-4, 'end_effector.mass': 0.0,
         'end_effector.inertia': 0.0, 'motor.shaft_inertia': inertia,
         'motor.viscous_friction': damping})
-    seen = shaft_of(damping, inertia) + noise * np.random.default_rng(4).standard_normal(len(COARSE))
-    found = timo_sim.fit(scene, timo_sim.Record.of({'torque': (COARSE, np.full(len(COARSE), 0.1))}, {
-        'shaft': Channel(COARSE, seen, noise)}), ['motor.viscous_friction', 'motor.shaft_inertia'])
+    count = len(COARSE)
+    seen = shaft_of(damping, inertia) + noise * np.random.default_rng(4).standard_normal(count)
+    measured = timo_sim.Record.of({'torque': (COARSE, np.full(count, 0.1))}, {
+        'shaft': Channel(COARSE, seen, noise)})
+    found = timo_sim.fit(scene, measured, ['motor.viscous_friction', 'motor.shaft_inertia'])
     return lambda x: np.sum(((shaft_of(*np.exp(x)) - seen) / noise)**2), found
 
 
@@ -152,3 +155,33 @@ def test_samples_are_those_of_the_posterior(rigid):
             assert abs(share - part) < 4.0 * np.sqrt(part * (1.0 - part) / samples.effective)
     first = found.scene.vary(samples.variations[0])
     assert first.values['motor.viscous_friction'] == samples.values['motor.viscous_friction'][0]
+
+
+def test_the_certified_loop_is_that_of_a_simulator(monkeypatch):
+    """Overshoot and settling of example/certify.py, from a Simulator whose samples are searched."""
+    monkeypatch.syspath_prepend(Path(__file__).parents[1] / 'example')
+    import certify
+    scenes = [timo_sim.load_scene(certify.ARM, {'end_effector.mass': mass}) for mass in (
+        0.05, 0.08)]
+    found = np.transpose(certify.slew(scenes, [0.5, -1.0], [0.3, 0.6]))
+    for scene, stroke, begin, (overshoot, settled) in zip(scenes, (0.5, -1.0), (0.3, 0.6), found):
+        simulator, last, angles = timo_sim.Simulator(scene), 0.0, []
+        for k in range(round(certify.DURATION / certify.PERIOD)):
+            t, shaft = k * certify.PERIOD, simulator.motion.shaft
+            s = min(t / certify.SLEW, 1.0)
+            goal = certify.GOAL * s**3 * (10.0 - 15.0 * s + 6.0 * s**2)
+            speed = certify.GOAL * 30.0 * (s * (1.0 - s))**2 / certify.SLEW
+            simulator.step(
+                voltage=certify.STIFFNESS * (goal - shaft) + certify.DAMPING * (
+                    speed - (shaft - last) / certify.PERIOD),
+                tip_force=(0.0, stroke * (begin <= t < begin + certify.STROKE_LASTS)),
+                duration=certify.PERIOD)
+            last = shaft
+            x, y = simulator.position()
+            angles.append(np.arctan2(y, x) / certify.GOAL - 1.0)
+        assert overshoot == pytest.approx(max(angles), rel=1e-6)
+        late = max(k for k, angle in enumerate(angles) if abs(angle) > certify.BAND)
+        assert certify.PERIOD * (late + 1) <= settled <= certify.PERIOD * (late + 2)
+        assert settled < certify.DURATION - 0.1
+    # If all of n are good, the lower end is where this has a probability of 2.5 %.
+    assert certify.between(100, 100) == (pytest.approx(0.025**0.01), 1.0)

@@ -85,7 +85,8 @@ EFFECTS = {
     'output sign': ('sign of tip_transverse', ''), 'limit': ('limit of the voltage', ''),
     'gravity': ('gravity', ''), 'mode': ('one more mode', ''), 'resonance': ('resonance', ''),
     'direction': ('depends on the direction', 'motor.coulomb_asymmetry'),
-    'backlash': ('backlash', 'motor.gear.backlash'), 'gear': ('elastic gear', 'motor.gear.backlash')}
+    'backlash': ('backlash', 'motor.gear.backlash'),
+    'gear': ('elastic gear', 'motor.gear.backlash')}
 SMOOTH = [name for name in FREE if name not in ('motor.coulomb_friction', DELAY)]
 SAME = 1.01     # ratio of residuals below which two fits ended at the same minimum
 
@@ -405,7 +406,7 @@ def all_suspected(count, duration):
         names = [names for names, says in own if says]
         words = EFFECTS[name][0]
         first = [each[0] for each in names]
-        rivals = [next((other[1] / each[0][1] for other in each if words not in other[0]), 0.0)
+        rivals = [next((share / each[0][1] for text, share in each if words not in text), 0.0)
                   for each in names if words and words in each[0][0]]
         rows[name] = {
             'words': words, 'named': len(names),

@@ -19,7 +19,7 @@ import numpy as np
 
 from timo_sim.fitting.problem import NORMAL
 from timo_sim.fitting.search import Search
-from timo_sim.scene.parameters import Parameter, ParameterError, PARAMETERS, today
+from timo_sim.scene.parameters import Parameter, PARAMETERS, today
 from timo_sim.scene.scene import overrides_of, Scene
 
 _MAX_RATIO = 1.5  # of the rise of squares at the ends of an interval to the quadratic one

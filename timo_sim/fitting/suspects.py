@@ -52,7 +52,7 @@ class Suspect(NamedTuple):
 
 def suspects(search: Search, jacobian: np.ndarray, residuals: np.ndarray) -> list[Suspect]:
     """
-    Return all Suspects of a fit, that of the largest share first.
+    Return the Suspects of a fit, that of the largest share first.
 
     `jacobian`, (n, p), and `residuals`, (n,), are those of `Search.derivatives`.
     """
@@ -83,10 +83,11 @@ def suspects(search: Search, jacobian: np.ndarray, residuals: np.ndarray) -> lis
                 best = max(best, (share, white, factor * size))
         found.append(Suspect(name, *best[:2], advice.format(best[2])))
     best = max(((*explain(columns, False)[:2], frequency)
-                for frequency, columns in _resonances(search)), default=best)
+                for frequency, columns in _resonances(search, len(left))),
+               default=best)
     found.append(Suspect(f'a resonance at {best[2]:.3g} Hz, which no mode of the model has',
                          *best[:2], 'look for what vibrates beside the arm'))
-    return sorted(found, key=lambda each: -each.share)
+    return sorted((each for each in found if each.share), key=lambda each: -each.share)
 
 
 def name_suspects(found: list[Suspect]) -> Iterator[str]:
@@ -212,12 +213,12 @@ def _gear(own, step):
             'motor.rotor.coulomb_speed': turns * own['motor.coulomb_speed']}
 
 
-def _resonances(search):
-    """Yield frequencies beside those of the model, and what such a resonance shows of the inputs."""
+def _resonances(search, size):
+    """Yield frequencies beside those of the model, and columns, (size,), of such a resonance."""
     problem = search.problems[0]
     own = modes(problem.scene_of(search.values(search.x, 0))).frequency
     highest = 0.2 / problem.record.period
-    if not len(own) or own[0] >= highest:
+    if not problem.record.inputs or not len(own) or own[0] >= highest:
         return
     step, series = problem.scene.step, search.series()
     for frequency in np.geomspace(own[0], highest, _RESONANCES):
@@ -238,5 +239,4 @@ def _resonances(search):
             for name in {name for _, name, _ in series}:
                 columns.append(np.concatenate([
                     part * (name == each) for part, (_, each, _) in zip(parts, series)]))
-        pad = len(search.residuals(search.x)) - len(columns[0])
-        yield frequency, [np.pad(column, (0, pad)) for column in columns]
+        yield frequency, [np.pad(column, (0, size - len(column))) for column in columns]
