@@ -158,12 +158,12 @@ def test_samples_are_those_of_the_posterior(rigid):
 
 
 def test_the_certified_loop_is_that_of_a_simulator(monkeypatch):
-    """Overshoot and settling of example/certify.py, from a Simulator whose samples are searched."""
+    """Overshoot and settling of example/certify.py, from a Simulator in a loop."""
     monkeypatch.syspath_prepend(Path(__file__).parents[1] / 'example')
     import certify
     scenes = [timo_sim.load_scene(certify.ARM, {'end_effector.mass': mass}) for mass in (
         0.05, 0.08)]
-    found = np.transpose(certify.slew(scenes, [0.5, -1.0], [0.3, 0.6]))
+    found = np.transpose(certify.slew(scenes, *np.array([[0.5, -1.0], [0.3, 0.6]])))
     for scene, stroke, begin, (overshoot, settled) in zip(scenes, (0.5, -1.0), (0.3, 0.6), found):
         simulator, last, angles = timo_sim.Simulator(scene), 0.0, []
         for k in range(round(certify.DURATION / certify.PERIOD)):
