@@ -51,11 +51,18 @@ def distances(found, truth=TRUTH):
                      for name, value in truth.items()])
 
 
-@pytest.mark.parametrize('factors', [(3.0, 1 / 3.0, 3.0, 3.0), (1 / 9.0, 3.0, 1 / 3.0, 1 / 3.0)])
-def test_a_fit_finds_the_truth_from_a_wrong_guess(factors):
-    found = timo_sim.fit(wrong(*factors), made(SQUARE, 1), [*TRUTH])
+def test_a_fit_finds_the_truth_from_a_wrong_guess():
+    """The record begins quietly, so that its first part leads nowhere."""
+    record = made(np.where(T > 0.8, 0.1 * np.sin((6.0 + 20.0 * T) * T), 0.0), 3)
+    guess = wrong(3.0, 1 / 3.0, 1 / 3.0, 1 / 3.0)
+    with pytest.warns(timo_sim.ModelWarning):
+        alone = timo_sim.fit(guess, record, [*TRUTH], starts=1)
+    assert not alone.white
+    found = timo_sim.fit(guess, record, [*TRUTH])
     assert distances(found).max() < 4.0
     assert found.white
+    assert 1 < found.starts <= 16
+    assert f'{found.starts} starts were tried' in found.report()
 
 
 def test_what_a_record_suggests_is_near_the_truth():

@@ -270,7 +270,7 @@ def signal(kind, duration, random):
 
 
 def made(seed, duration):
-    """Return the kind of a record, the record, what is free, and the true scene and a wrong one."""
+    """Return the kind of a record, the record, what is free, the true scene and a wrong one."""
     random = np.random.default_rng(seed)
     kind = [*KINDS][seed % len(KINDS)]
     given, shown, free = KINDS[kind]

@@ -431,8 +431,7 @@ def sweep(file: str, output: str | None, workers: int | None, scheduler: str | N
 @click.option('--hold-out-record', type=click.Path(), multiple=True, metavar='RECORD',
               help='Record that is predicted and not fitted.')
 @click.option('--starts', type=int, metavar='COUNT', help=(
-    'Starts to be tried; by default up to 16, unless the first leaves white residuals or two lead '
-    'to the same good minimum.'))
+    'Starts to be tried; by default up to 16, until the minimum is good or found again.'))
 @click.option('--next', 'further', type=click.Path(dir_okay=False), metavar='NEXT.csv', help=(
     'Table to write: an input for the next record, which narrows the widest interval most.'))
 @click.option('--window', type=float, metavar='SECONDS', help=(

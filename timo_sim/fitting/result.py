@@ -330,9 +330,8 @@ def fit(scene: SceneLike | None, record: RecordLike | Sequence[RecordLike], free
         Which column of a table is which quantity, see doc/fit.md; or a list with one for each
         record, those that are held out at the end.
     starts : int, optional
-        How many starts are tried, beginning with the scene's values. By default the others follow
-        if the residuals of the first are not white, at most 16: what the record itself suggests,
-        and points around that, until two lead to the same good minimum.
+        How many starts are tried: the scene's values, what each record itself suggests, and
+        points around that. By default up to 16, until the minimum is good or found again.
     hold_out_records : list of Record, str or Path
         Records that are not fitted but predicted, with the scene's biases and initial states.
 
@@ -404,26 +403,26 @@ def fit(scene: SceneLike | None, record: RecordLike | Sequence[RecordLike], free
                       'may be too small: try a shorter window, or friction with a coulomb_speed')
     doubts += _find_doubts(estimates)
     series: dict[tuple[int, str], list[np.ndarray]] = {}
-    for (k, name, _), found in zip(search.series(), residuals):
-        series.setdefault((k, name), []).append(search.deviations[k][name] * found)
+    for (k, name, _), r in zip(search.series(), residuals):
+        series.setdefault((k, name), []).append(search.deviations[k][name] * r)
     initial = dict(reversed([(k, state) for (k, _), state in zip(search.windows, states)]))
     fitted = problems[0].scene_of(search.values(x, 0), initial[0])
     shared = {each.name: each.value(at) for each, at in zip(search.free, x) if not each.is_own}
-    for each in held:
-        scene = start
-        if 'shaft' in each.outputs and {'initial', 'initial.shaft'} & {*free}:  # as it was seen
-            scene = start.vary({'initial.shaft': float(each.outputs['shaft'].values[0])})
-        problems.append(Problem(scene, each, _names_for(each, measured, shared), {}, 0.0))
+    for last in held:
+        seen = {'initial.shaft': float(last.outputs['shaft'].values[0])} if (
+            'shaft' in last.outputs and {'initial', 'initial.shaft'} & {*free}) else {}
+        problems.append(Problem(start.vary(seen), last, _names_for(last, measured, shared), {},
+                                0.0))
     for k, problem in enumerate(problems):
         values = search.values(x, k) if k < len(measured) else {
             each.name: shared[each.name] for each in problem.free}
-        found, told = _predict(problem, values, initial.get(k), {
+        prediction, told = _predict(problem, values, initial.get(k), {
             name: series.get((k, name), []) for name in problem.record.outputs})
-        predictions.append(found)
+        predictions.append(prediction)
         doubts += [f'{each} (record {k + 1})' if len(problems) > 1 else each for each in told]
     likely = []
-    if not white and any(1.0 - each.r_squared > NUMERICAL for found in predictions
-                         for each in found.errors.values()):
+    if not white and any(1.0 - each.r_squared > NUMERICAL for prediction in predictions
+                         for each in prediction.errors.values()):
         likely = suspects(search, whole, np.concatenate(residuals))
         doubts[:0] = name_suspects(likely)
     # The derivatives by the parameters that initial states of windows cannot make up for.
@@ -452,11 +451,12 @@ RecordLike = Record | str | Path
 
 
 def read_scene_and_records(
-        scene: SceneLike | None, record: RecordLike | Sequence[RecordLike], mapping: Any,
+        scene: Any, record: RecordLike | Sequence[RecordLike], mapping: Any,
         held: Sequence[RecordLike]) -> tuple[Scene, list[Record], list[Record]]:
     """Return the Scene and the Records of a fit from what `fit` takes for them."""
     fitted = [record] if isinstance(record, RecordLike) else [*record]
-    every, found = [*fitted, *held], []
+    every: list[Any] = [*fitted, *held]
+    found: list[Record] = []
     mappings = [*mapping] if isinstance(mapping, (list, tuple)) else [mapping] * len(every)
     if not fitted or len(mappings) != len(every):
         raise ParameterError('a fit needs a record, and one mapping for all or one for each, got '
@@ -504,7 +504,7 @@ def _predict(problem, values, initial, residuals):
                       r_squared(measured, predicted[name][part])] if enough else [math.nan] * 2
         own = residuals[name]
         size = math.sqrt(np.mean(np.concatenate(own)**2)) if own else math.nan
-        errors[name] = Errors(*parts, size, min(
+        errors[name] = Errors(parts[0], parts[1], parts[2], parts[3], size, min(
             [whiteness(each) for each in own if len(each) > 4], default=math.nan))
         if channel.noise and errors[name].residual_rms > _MAX_NOISE_RATIO * channel.noise:
             doubts.append(

@@ -38,6 +38,7 @@ _HARDLY_WHITE = 1e-6  # probability of residuals as correlated, above which a mi
 # 1 - R^2 above which other starts are tried, if one, two or three starts have led to a minimum.
 _MAX_UNEXPLAINED = 0.05, 0.2, 0.5, math.inf
 _MAX_STARTS = 16
+_NEAR = 0.1  # distance in coordinates of the fit within which two ends are one
 _SPREAD = 6.0  # factor by which starts differ from what the record suggests
 _MAD = 1.4826  # standard deviations in a median absolute deviation
 
@@ -53,7 +54,7 @@ class Search:
     """
 
     def __init__(self, problems: Sequence[Problem], loss: str) -> None:
-        self.problems, self.loss = problems, loss
+        self.problems, self.loss = [*problems], loss
         names = [[f'{free.name} (record {k})' if free.is_own and len(problems) > 1 else free.name
                   for free in each.free] for k, each in enumerate(problems, 1)]
         found: dict[str, Free] = {}
@@ -98,7 +99,6 @@ class Search:
             if self._estimate_deviations() < _SETTLED_CHANGE:
                 break
         least = self._solve(_TIGHT)
-        self._estimate_deviations()
         minima = [self.x]
         for x in ends:
             if self._solve(_TIGHT, x) - least < _SAME * least and all(
@@ -107,6 +107,7 @@ class Search:
         self.x = minima[0]
         self.others = [{free.name: free.value(at) for free, at in zip(self.free, x)}
                        for x in minima[1:]]
+        self._estimate_deviations()
 
     def _is_apart(self, x, other, least):
         """Return whether x is another minimum, and not another where the record tells nothing."""
@@ -115,13 +116,15 @@ class Search:
 
     def _try_starts(self, starts):
         """Move x to the best minimum from several starts; return the others that are as good."""
-        whole, parts, costs, ends = self.windows, [], [], []
+        whole, parts, costs, reached, ends = self.windows, [], [], [], []
         first = [(k, Window(0.0, _FIRST_PART * window.end, ())) for k, window in whole]
         for self.tried, x in enumerate(self._starts(starts or _MAX_STARTS), 1):
             self.windows, cost = first, math.inf
             part = self._solve(_LOOSE, x)
-            self.windows = whole
-            known = [old for old, each in zip(costs, parts) if abs(part - each) <= _SAME * each]
+            self.windows, reached = whole, [*reached, self.x]
+            # A quiet first part is fitted alike from everywhere: where its fit ends counts.
+            known = [old for old, each in zip(costs, reached) if np.allclose(
+                self.x, each, 0.0, _NEAR)]
             if known:
                 cost = known[0]
             elif part <= _WORTHWHILE * min(parts, default=math.inf):

@@ -50,8 +50,9 @@ def from_record(problem: Problem, values: Mapping[str, float]) -> dict[str, floa
         arm = _ArmOnShaft(problem)
         for free in problem.free:
             if free.log and free.name.startswith(('arm.', 'end_effector.')):
-                tried = [{**values, free.name: float(each)} for each in _FACTORS * values[free.name]
-                         if free.low <= each <= free.high]
+                tried = [{**values, free.name: float(value)}
+                         for value in _FACTORS * values[free.name]
+                         if free.low <= value <= free.high]
                 values = min(tried, key=arm.misfit, default=values)
         if arm.driven:
             start, low, high = np.array([
@@ -81,7 +82,8 @@ class _ArmOnShaft:
             scene = problem.scene.vary({'initial.shaft': 0.0, 'initial.shaft_velocity': 0.0,
                                         'initial.equilibrium': False})
             record = replace(record, inputs={DRIVE: _smooth(t, angle), **inputs})
-            self._seen, self.driven = Problem(scene, record, ['arm.length'], {}, problem.until), True
+            self._seen = Problem(scene, record, ['arm.length'], {}, problem.until)
+            self.driven = True
         measured = self._seen.measurements(self._seen.windows[0])
         self._measured = {name: each for name, each in measured.items()
                           if not self.driven or name not in shown}
@@ -107,7 +109,8 @@ class _ArmOnShaft:
         scene = self._free.scene_of(values)
         applied = loads_of(self._free.record, scene, values).stages(
             0, len(run.t) - 1, scene.step)[::_EVERY, AFTER, TORQUE]
-        return [(each, predicted[name][1]) for name, each in self._measured.items()], applied, terms
+        pairs = [(each, predicted[name][1]) for name, each in self._measured.items()]
+        return pairs, applied, terms
 
     def misfit(self, values: Mapping[str, float]) -> float:
         """Return the sum of logarithms of what no gain, bias or motor explains of outputs."""
