@@ -18,13 +18,11 @@ from typing import Any, NamedTuple
 import numpy as np
 from scipy.signal import bilinear, lfilter
 
-from timo_sim.fitting.problem import (
-    DIVERGED, is_within, limit_inputs, WHITE, whiteness)
+from timo_sim.fitting.problem import DIVERGED, is_within, limit_inputs, WHITE, whiteness
 from timo_sim.fitting.search import Search
 from timo_sim.model.layout import INPUTS
 from timo_sim.runs.modes import modes
 from timo_sim.scene.parameters import ParameterError, PARAMETERS
-from timo_sim.simulation.warnings import DivergenceError
 
 _FRICTION = 0.01, 0.1, 1.0  # sizes that are tried, of the force that accelerates the free body
 _ASYMMETRY = 0.2
@@ -56,10 +54,10 @@ def suspects(search: Search, jacobian: np.ndarray, residuals: np.ndarray) -> lis
 
     `jacobian`, (n, p), and `residuals`, (n,), are those of `Search.derivatives`.
     """
-    free, _ = np.linalg.qr(jacobian)
+    if np.any(np.abs(here := search.residuals(search.x)) >= DIVERGED):
+        return []
+    (free, _), root = np.linalg.qr(jacobian), search.weights(here)
     left = residuals - free @ (free.T @ residuals)
-    root = search.weights(search.residuals(search.x))
-
     edges = np.cumsum([len(measured) for *_, measured in search.series()])
 
     def explain(columns, positive):
@@ -82,9 +80,8 @@ def suspects(search: Search, jacobian: np.ndarray, residuals: np.ndarray) -> lis
                 share, white, factor = explain([run - runs[0] for run in runs[1:]], positive)
                 best = max(best, (share, white, factor * size))
         found.append(Suspect(name, *best[:2], advice.format(best[2])))
-    best = max(((*explain(columns, False)[:2], frequency)
-                for frequency, columns in _resonances(search, len(left))),
-               default=best)
+    best = max(((*explain(columns, False)[:2], frequency) for frequency, columns
+                in _resonances(search, len(left))), default=(0.0, False, 0.0))
     found.append(Suspect(f'a resonance at {best[2]:.3g} Hz, which no mode of the model has',
                          *best[:2], 'look for what vibrates beside the arm'))
     return sorted((each for each in found if each.share), key=lambda each: -each.share)
@@ -102,28 +99,17 @@ def name_suspects(found: list[Suspect]) -> Iterator[str]:
 
 def _signs(search):
     """Yield Suspects of wrong signs, by the correlation with the run of the first guess."""
-    every = search.residuals(search.x)
-    for k, (problem, against) in enumerate(zip(search.problems, search.against)):
-        shares, place = {}, 0
-        squares: dict[str, float] = {}
-        for number, name, measured in search.series():
-            if number == k:
-                own = every[place:place + len(measured)] * search.deviations[k][name]
-                squares[name] = squares.get(name, 0.0) + own @ own
-            place += len(measured)
-        for name, correlation in against.items():
-            measured = problem.record.outputs[name]
-            power = np.sum((each := measured.values[measured.t <= problem.until])**2)
-            power -= each.sum()**2 / len(each)
-            if correlation < _ANTICORRELATED:
-                left = (1.0 - correlation**2) * power / squares[name]
-                shares[name] = max(0.0, 1.0 - left)
-        if len(shares) == len(squares):  # one sign that is wrong is more likely than several
-            each = min(shares.values())
-            shares = {**dict.fromkeys(problem.record.inputs, each), **(
+    for problem, against, deviations in zip(search.problems, search.against, search.deviations):
+        shares = {name: 1.0 - (1.0 - correlation**2) * np.var(
+            problem.record.outputs[name].values) / deviations[name]**2
+            for name, correlation in against.items() if correlation < _ANTICORRELATED}
+        if len(shares) == len(deviations):  # one wrong sign is more likely than several
+            least = min(shares.values())
+            shares = {**dict.fromkeys(problem.record.inputs, least), **(
                 shares if len(shares) == 1 else {})}
         for name, share in shares.items():
-            yield Suspect(f'the sign of {name}', share, False, 'scale: -1 in the mapping')
+            yield Suspect(f'the sign of {name}', max(share, 0.0), False,
+                          'scale: -1 in the mapping')
 
 
 def _residuals(search, more):
@@ -152,14 +138,16 @@ def _effects(search: Search) -> Iterator[tuple[str, str, bool, list[Any]]]:
     of further values, each of a run with the effect.
     """
     problem, values = search.problems[0], search.values(search.x, 0)
-    state = search.states(search.x)[0]
-    scene, step = problem.scene_of(values, state), problem.scene.step
-    own: Mapping[str, Any] = scene.values
-    for name, size in _friction_sizes(problem, values, state, scene):
-        if not own[name]:
-            yield (f'dry friction of the {name.split(".")[0]}',
-                   f'set {name} to about {{:.2g}}, and free it', True,
-                   [(part * size, {}, [{name: part * size}]) for part in _FRICTION])
+    window, state = problem.windows[0], search.states(search.x)[0]
+    run, step = problem.run(values, window.begin, window.end, state), problem.scene.step
+    own: Mapping[str, Any] = run.scene.values
+    rates = run.values[:, run.values.shape[1] // 2:][:, :3]
+    forces = np.diag(run.model.mass_matrix(run.values[0])[0])[:3] * np.sqrt(
+        np.mean(np.gradient(rates, step, axis=0)**2, axis=0))
+    for body, size in (('carrier', forces[:2].max()), ('motor', forces[2])):
+        if size and not own[name := f'{body}.coulomb_friction']:
+            yield (f'dry friction of the {body}', f'set {name} to about {{:.2g}}, and free it',
+                   True, [(part * size, {}, [{name: part * size}]) for part in _FRICTION])
     for name in (name for name in PARAMETERS if name.endswith('.coulomb_asymmetry')):
         if own[name.replace('asymmetry', 'friction')] and not own[name]:
             yield ('friction that depends on the direction', f'set {name} to about {{:.2g}}, and '
@@ -174,8 +162,7 @@ def _effects(search: Search) -> Iterator[tuple[str, str, bool, list[Any]]]:
                [(play, gear, [{'motor.gear.backlash': play}]) for play in _BACKLASH])
     if not any(own['gravity']):
         yield ('gravity, as of a tilted plane', 'set gravity', False,
-               [(size, {}, [{'gravity[0]': size}, {'gravity[1]': size}])
-                for size in _GRAVITY])
+               [(size, {}, [{'gravity[0]': size}, {'gravity[1]': size}]) for size in _GRAVITY])
     for name in (*problem.record.inputs, *problem.record.outputs):
         if f'{name}.delay' not in values:
             yield (f'a delay of {name}', f'free {name}.delay, about {{:.2g}} s', False,
@@ -187,19 +174,6 @@ def _effects(search: Search) -> Iterator[tuple[str, str, bool, list[Any]]]:
                    [(part * most, {}, [{each.limit: part * most}]) for part in _LIMITS])
     yield ('one more mode', f'set model.modes to {own["model.modes"] + 1}', True,
            [(1.0, {}, [{'model.modes': own['model.modes'] + 1}])])
-
-
-def _friction_sizes(problem, values, state, scene):
-    """Return names of dry friction, and the forces that accelerate the free carrier and shaft."""
-    try:
-        run = problem.run(values, 0.0, problem.until, state)
-    except DivergenceError:
-        return []
-    rates = run.values[:, run.values.shape[1] // 2:][:, :3]
-    needed = np.abs(np.diag(run.model.mass_matrix(run.values[0])[0])[:3] * np.sqrt(
-        np.mean(np.gradient(rates, run.t, axis=0)**2, axis=0)))
-    return [(name, size) for name, size in (('carrier.coulomb_friction', needed[:2].max()),
-                                            ('motor.coulomb_friction', needed[2])) if size]
 
 
 def _gear(own, step):
@@ -226,17 +200,16 @@ def _resonances(search, size):
             continue
         omega, columns = 2.0 * np.pi * frequency, []
         for which in ([omega**2], [omega, 0.0]):  # its position and its speed
-            filtered = bilinear(which, [1.0, 2.0 * _DAMPING * omega, omega**2], 1.0 / step)
+            system = bilinear(which, [1.0, 2.0 * _DAMPING * omega, omega**2], 1.0 / step)
             parts = []
             for k, window in search.windows:
-                record = search.problems[k].record
+                record, until = search.problems[k].record, search.problems[k].until
                 t = step * np.arange(round(record.duration / step) + 1)
-                shown = sum(lfilter(*filtered, np.interp(t, each.t, each.values) - each.values[0])
+                shown = sum(lfilter(*system, np.interp(t, each.t, each.values) - each.values[0])
                             for each in record.inputs.values())
-                parts += [np.interp(each.t[is_within(each.t, window.begin, window.end,
-                                                     search.problems[k].until)], t, shown)
-                          for each in record.outputs.values()]
-            for name in {name for _, name, _ in series}:
-                columns.append(np.concatenate([
-                    part * (name == each) for part, (_, each, _) in zip(parts, series)]))
+                parts += [np.interp(each.t[is_within(each.t, window.begin, window.end, until)],
+                                    t, shown) for each in record.outputs.values()]
+            columns += [np.concatenate([
+                part * (name == each) for part, (_, each, _) in zip(parts, series)])
+                for name in problem.record.outputs]
         yield frequency, [np.pad(column, (0, size - len(column))) for column in columns]
