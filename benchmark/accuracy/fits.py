@@ -389,7 +389,7 @@ def lacking(effect, seed, duration):
 def suspected(effect, seed, duration):
     """Return names and shares of what a fit suspects, the first one first, and whether it says."""
     measured, scene = lacking(effect, seed, duration)
-    found = quiet(timo_sim.fit, scene, measured, SMOOTH)
+    found = quiet(timo_sim.fit, scene, measured, SMOOTH, starts=1)
     return [[each.name, each.share] for each in found.suspects], any(
         'look like' in text for text in found.warnings)
 
