@@ -309,8 +309,8 @@ def fit_suspects():
                  for part in ('shares', 'rivals')), ', '.join(row['others']))
             for name, row in each['effects'].items()]
     return (f'{each["count"]} records of {each["duration"]:g} s for each effect, of arms and '
-            'sizes of the effect that differ, fitted with six free parameters by a scene without the '
-            'effect: how many fits name a suspect, and how many the right one first; its share of '
+            'sizes of the effect that differ, fitted with six free parameters by a scene without '
+            'it: how many fits name a suspect, and how many the right one first; its share of '
             'the squares, and that of the best wrong one over it (medians).\n\n' + _table(
                 ('effect', 'a suspect is named', 'the right one first', 'share',
                  'of the best wrong one', 'wrong ones that are first'), *rows))

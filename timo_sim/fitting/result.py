@@ -170,13 +170,11 @@ class Fit(Prediction):
         Other sets of values, by name, with which the records are fitted as well.
     more : list of Prediction
         Of further records, with those that were held out at the end.
-    search, information : Search, ndarray of shape (p, p)
+    posterior, information : Posterior, ndarray of shape (p, p)
         With the coordinates of the minimum; the inverse of their covariance for white residuals.
     suspects : list of Suspect
         What the scene may lack, that of the largest share of the squares of the residuals first;
         empty if these are white.
-    posterior : Posterior
-        From which `sample` draws.
 
     """
 
@@ -190,10 +188,9 @@ class Fit(Prediction):
     starts: int = 1
     others: list = field(default_factory=list)
     more: list = field(default_factory=list)
-    search: Any = None
+    posterior: Any = None
     information: Any = None
     suspects: list[Suspect] = field(default_factory=list)
-    posterior: Any = None
 
     @property
     def values(self) -> dict[str, float]:
@@ -212,7 +209,8 @@ class Fit(Prediction):
         for name, each in self.estimates.items():
             shown = (f'{each.value:>11.5g}  {f"{each.low:.5g} to {each.high:.5g}":>25}'
                      if each.identified else f'{"not identified by this record":>38}')
-            bound = f'  at its {each.bound} bound' if each.bound else ''
+            bound = '  by profile' * each.profile + (
+                f'  at its {each.bound} bound' if each.bound else '')
             lines.append(f'{name:<{width}}  {shown}  {each.start:>11.5g}  {each.unit}{bound}'
                          .rstrip())
         pairs = [f'{first} and {second} ({self.correlation[i, j]:.3f})'
@@ -220,11 +218,6 @@ class Fit(Prediction):
                  for i, first in enumerate([*self.estimates][:j])
                  if first in self.values and second in self.values
                  and abs(self.correlation[i, j]) > _HIGH_CORRELATION]
-        profiles = [name for name, each in self.estimates.items() if each.profile]
-        if profiles:
-            lines += ['', 'the squares are not quadratic within the interval of '
-                      f'{", ".join(profiles)}: it is where refits with the parameter held are as '
-                      'much worse']
         lines += ['', 'correlation above 0.95: ' + (', '.join(pairs) or 'none')]
         lines += ['not identified: ' + ' '.join(
             f'{part:+.2f} {name}' for name, part in parts.items()) for parts in self.unidentified]
@@ -264,7 +257,7 @@ class Fit(Prediction):
         default by the largest value of the first record's input; `duration` is by default that of
         the first record [s]. Raises ParameterError if that has no input other than drive.
         """
-        return next_inputs(self.search, self.information, self.scene, limit, duration)
+        return next_inputs(self.posterior.search, self.information, self.scene, limit, duration)
 
     def save(self, path: str | Path) -> Path:
         """Write the fitted scene as a parameter file for `sim_node`; an existing one is kept."""
@@ -434,7 +427,7 @@ def fit(scene: SceneLike | None, record: RecordLike | Sequence[RecordLike], free
     first, *more = predictions
     found = Fit(first.record, first.errors, first.run, first.predicted, first.until, fitted,
                 estimates, correlation, parts, white, doubts, seconds, search.tried,
-                search.others, more, search, own.T @ own, likely, posterior)
+                search.others, more, posterior, own.T @ own, likely)
     if doubts:
         warn('; '.join(doubts))
     return found
