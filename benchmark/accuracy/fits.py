@@ -453,7 +453,7 @@ PARTS = {
     'outliers': lambda quick: against(['plain', 'linear', 'soft_l1'], 2 if quick else 20, 4.0),
     'windows': lambda quick: against(['rest', 'initial', 'window'], 2 if quick else 6, 4.0),
     'starts': lambda quick: starts(4 if quick else 100, 10.0),
-    'suspects': lambda quick: all_suspected(1 if quick else 10, 4.0),
+    'suspects': lambda quick: all_suspected(1 if quick else 10, 2.0),
     'loops': lambda quick: coverage_of_loops(4 if quick else 200, 2.0, 200)}
 
 
