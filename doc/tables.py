@@ -12,6 +12,7 @@ import json
 import math
 from pathlib import Path
 import re
+from statistics import median
 
 from timo_sim.scene.parameters import NODE, PARAMETERS
 from timo_sim.topics.commands import COMMANDS
@@ -299,6 +300,36 @@ def _errors_of(part, names):
         for kind, each in _fits(part)['kinds'].items()))
 
 
+def fit_suspects():
+    """Return what fits to records with an effect that the scene lacks suspect."""
+    each = _fits('suspects')
+    rows = [(name, f'{row["named"]} of {each["count"]}',
+             f'{row["first"]} of {each["count"]}' if row['words'] else '', *(
+                 f'{100.0 * median(row[part]):.0f} %' if row[part] else ''
+                 for part in ('shares', 'rivals')), ', '.join(row['others']))
+            for name, row in each['effects'].items()]
+    return (f'{each["count"]} records of {each["duration"]:g} s for each effect, of arms and '
+            'sizes of the effect that differ, fitted with six free parameters by a scene without '
+            'it: how many fits name a suspect, and how many the right one first; its share of '
+            'the squares, and that of the best wrong one over it (medians).\n\n' + _table(
+                ('effect', 'a suspect is named', 'the right one first', 'share',
+                 'of the best wrong one', 'wrong ones that are first'), *rows))
+
+
+def fit_loops():
+    """Return how often predicted intervals hold what the closed loop of the true arm does."""
+    each = _fits('loops')
+    rows = [(name, f'{row["held"]} of {each["count"]}', '{:.1f} to {:.1f} %'.format(
+        *(100.0 * end for end in row['interval'])), f'{100.0 * row["width"]:.2g} %')
+        for name, row in each['loops'].items()]
+    return (f'The loop of example/certify.py on {each["count"]} made arms, each fitted to '
+            f'{each["duration"]:g} s of its own record: how many 95 % intervals of '
+            f'{each["samples"]} samples hold what the true arm does, which runs with a quarter of '
+            'the step.\n\n' + _table(
+                ('quantity', 'intervals with the truth', '95 % interval of this share',
+                 'width over the value, median'), *rows))
+
+
 def fit_outliers():
     """Return errors of fits to records with outliers, by loss."""
     each, (part, size) = _fits('outliers'), _fits('outlier')
@@ -324,7 +355,8 @@ TABLES = {'commands': commands, 'outputs': published, 'parameters': parameters,
           'benchmark_bend': benchmark_bend, 'benchmark_cold': benchmark_cold,
           'cold_start': cold_start, 'fit_machine': fit_machine, 'fit_coverage': fit_coverage,
           'fit_unidentified': fit_unidentified, 'fit_time': fit_time,
-          'fit_starts': fit_starts, 'fit_outliers': fit_outliers, 'fit_windows': fit_windows}
+          'fit_starts': fit_starts, 'fit_outliers': fit_outliers, 'fit_suspects': fit_suspects,
+          'fit_loops': fit_loops, 'fit_windows': fit_windows}
 
 
 def filled(text):

@@ -18,18 +18,24 @@ import json
 from multiprocessing import get_context
 import os
 from statistics import median
+import sys
 import time
 from unittest import mock
 import warnings
 
 import numpy as np
 from scipy.interpolate import CubicSpline
+from scipy.signal import bilinear, lfilter
 
 from benchmark import ROOT
 from benchmark.report import machine, parser
 from benchmark.timing import seconds
 import timo_sim
 from timo_sim.fitting.problem import Problem
+from timo_sim.scene.parameters import PARAMETERS
+
+sys.path.append(str(ROOT / 'example'))
+import certify  # noqa: E402, I100, I202
 
 PERIOD, STEP, FINER = 0.002, 0.002, 4   # of records, of fits [s]; parts of it in records
 NOISE = {'shaft': 1e-3, 'tip_transverse': 5e-4}     # standard deviations [rad, m]
@@ -72,6 +78,16 @@ KINDS = {
     'chirp': ('torque', ['shaft_velocity', 'tip_acceleration'], [*_ARM, *_SHAFT]),
     'driven': ('drive', ['tip_transverse'], [*_ARM, DELAY])}
 RELATIVE_NOISE = 0.01   # of the standard deviation of a quantity
+# Effects that a record has and the fitted scene lacks: words that name it, a parameter it needs.
+EFFECTS = {
+    'nothing': ('', ''), 'friction': ('dry friction', ''), 'input delay': ('delay of voltage', ''),
+    'output delay': ('delay of tip_transverse', ''), 'input sign': ('sign of voltage', ''),
+    'output sign': ('sign of tip_transverse', ''), 'limit': ('limit of the voltage', ''),
+    'gravity': ('gravity', ''), 'mode': ('one more mode', ''), 'resonance': ('resonance', ''),
+    'direction': ('depends on the direction', 'motor.coulomb_asymmetry'),
+    'backlash': ('backlash', 'motor.gear.backlash'),
+    'gear': ('elastic gear', 'motor.gear.backlash')}
+SMOOTH = [name for name in FREE if name not in ('motor.coulomb_friction', DELAY)]
 SAME = 1.01     # ratio of residuals below which two fits ended at the same minimum
 
 
@@ -323,13 +339,122 @@ def starts(count, duration):
     return {'count': count, 'duration': duration, 'wrong': WRONG, 'kinds': rows}
 
 
+def lacking(effect, seed, duration):
+    """Return a record of a random arm with one effect, and the scene of a fit, without it."""
+    random = np.random.default_rng(seed)
+    t, volts = voltage(duration)
+    truth = {name: 1.3**random.uniform(-1.0, 1.0) * np.ravel(SCENE[name])[0] for name in SMOOTH}
+    size = 2.0**random.uniform(-1.0, 1.0)
+    base = {**SCENE, 'motor.coulomb_friction': 0.0, **truth,
+            'arm.damping_ratio': [truth['arm.damping_ratio']]}
+    if effect == 'direction':
+        base |= {'motor.coulomb_friction': 0.03, 'motor.coulomb_speed': 0.2}
+    shaft = 0.5 * truth['motor.shaft_inertia']
+    gear = {'motor.shaft_inertia': shaft, 'motor.rotor.inertia': shaft / 70.0**2,
+            'motor.gear.stiffness': 100.0 * size, 'motor.gear.damping': 0.05}
+    more = {'friction': {'motor.coulomb_friction': 0.03 * size},
+            'direction': {'motor.coulomb_asymmetry': 0.3 * size**0.5},
+            'gear': {**gear, 'motor.gear.stiffness': 10.0 * size},
+            'backlash': {**gear, 'motor.gear.backlash': 0.02 * size},
+            'gravity': {'gravity': [0.5 * size * np.cos(seed), 0.5 * size * np.sin(seed)]},
+            'mode': {'model.modes': 3}}.get(effect, {})
+    limit = 2.5 * size**-0.3 if effect == 'limit' else np.inf
+    late = STEP / FINER * round(8.0 * size)
+    begin = np.append(0.0, t[1:] + (late if effect == 'input delay' else 0.0))
+    if effect == 'mode':  # a chirp through the second one
+        volts = 12.0 * np.sin(2.0 * np.pi * (20.0 + 40.0 / duration * t) * t)
+    run = timo_sim.simulate({
+        **base, **more, 'integrator.step': STEP / FINER, 'load.torque.piecewise.time': begin,
+        'load.torque.piecewise.value': torque(base, np.clip(volts, -limit, limit))}, duration,
+        estimate=False)
+    tip = CubicSpline(run.t, run.deflection()[:, 1])
+    seen = {'shaft': run.shaft[::FINER][:len(t)],
+            'tip_transverse': tip(np.maximum(t - (late if effect == 'output delay' else 0.0), 0))}
+    if effect == 'resonance':
+        omega = 2.0 * np.pi * random.uniform(20.0, 60.0)
+        shaken = lfilter(*bilinear([omega**2], [1.0, 0.02 * omega, omega**2], 1.0 / PERIOD), volts)
+        seen['tip_transverse'] += 1.5e-3 * size / np.std(shaken) * shaken
+    if effect == 'output sign':
+        seen['tip_transverse'] *= -1.0
+    measured = timo_sim.Record.of(
+        {'voltage': (t, -volts if effect == 'input sign' else volts)},
+        {name: (t, each + NOISE[name] * random.standard_normal(len(t)))
+         for name, each in seen.items()})
+    wrong = {name: value * 1.3**random.choice([-1.0, 1.0]) for name, value in truth.items()}
+    wrong['arm.damping_ratio'] = [wrong['arm.damping_ratio']]
+    return measured, timo_sim.load_scene({**base, **wrong, **(
+        {'model.modes': 1} if effect == 'mode' else {})})
+
+
+def suspected(effect, seed, duration):
+    """Return names and shares of what a fit suspects, the first one first, and whether it says."""
+    measured, scene = lacking(effect, seed, duration)
+    found = quiet(timo_sim.fit, scene, measured, SMOOTH, starts=1)
+    return [[each.name, each.share] for each in found.suspects], any(
+        'look like' in text for text in found.warnings)
+
+
+def all_suspected(count, duration):
+    """Return, by effect, what fits to records with this effect suspect."""
+    effects = [name for name, (_, needed) in EFFECTS.items() if not needed or needed in PARAMETERS]
+    tasks = [(name, seed, duration) for name in effects for seed in range(count)]
+    with ProcessPoolExecutor(os.cpu_count(), get_context('spawn')) as pool:
+        found = [*pool.map(suspected, *zip(*tasks))]
+    rows = {}
+    for name in effects:
+        own = [each for each, task in zip(found, tasks) if task[0] == name]
+        names = [names for names, says in own if says]
+        words = EFFECTS[name][0]
+        first = [each[0] for each in names]
+        rivals = [next((share / each[0][1] for text, share in each if words not in text), 0.0)
+                  for each in names if words and words in each[0][0]]
+        rows[name] = {
+            'words': words, 'named': len(names),
+            'first': sum(bool(words) and words in each for each, _ in first),
+            'shares': [share for _, share in first], 'rivals': rivals,
+            'others': sorted({each for each, _ in first if not words or words not in each})}
+    return {'count': count, 'duration': duration, 'effects': rows}
+
+
+def certified(seed, duration, samples):
+    """Return whether predicted intervals hold the overshoot and settling of a true arm, (2,)."""
+    random = np.random.default_rng(seed)
+    truth = {name: 1.3**random.uniform(-1.0, 1.0) * np.ravel(certify.ARM[name])[0]
+             for name in certify.FREE}
+    truth['arm.damping_ratio'] = [truth['arm.damping_ratio']]
+    arm = timo_sim.load_scene(certify.ARM, {**truth, 'integrator.step': STEP / FINER})
+    found = quiet(timo_sim.fit, certify.ARM, certify.excite(arm, duration, seed), certify.FREE)
+    stroke = random.uniform(-certify.STROKE, certify.STROKE), random.uniform(0.0, certify.SLEW)
+    true = np.ravel(certify.slew([arm], *stroke))
+    predicted = np.array(certify.slew(
+        [found.scene.vary(each) for each in found.sample(samples, seed).variations], *stroke))
+    low, high = np.quantile(predicted, [0.025, 0.975], axis=1, method='weibull')
+    return [[*map(float, (low <= true) & (true <= high))], [*map(float, (high - low) / true)],
+            float(any(each.profile for each in found.estimates.values()))]
+
+
+def coverage_of_loops(count, duration, samples):
+    """Return how often predicted intervals hold what the closed loop of the true arm does."""
+    with ProcessPoolExecutor(os.cpu_count(), get_context('spawn')) as pool:
+        held, widths, profiled = zip(*pool.map(
+            certified, range(count), [duration] * count, [samples] * count))
+    return {'count': count, 'duration': duration, 'samples': samples,
+            'profiled': int(sum(profiled)), 'loops': {
+                name: {'held': int(inside), 'interval': certify.between(int(inside), count),
+                       'width': float(width)}
+                for name, inside, width in zip(('overshoot', 'time to settle'), np.sum(held, 0),
+                                               np.median(widths, 0))}}
+
+
 PARTS = {
     'time': lambda quick: time_of_fit(10.0, 1 if quick else 5),
     'unidentifiable': lambda quick: unidentifiable(4.0),
     'coverage': lambda quick: coverage(4 if quick else 100, 4.0),
     'outliers': lambda quick: against(['plain', 'linear', 'soft_l1'], 2 if quick else 20, 4.0),
     'windows': lambda quick: against(['rest', 'initial', 'window'], 2 if quick else 6, 4.0),
-    'starts': lambda quick: starts(4 if quick else 100, 10.0)}
+    'starts': lambda quick: starts(4 if quick else 100, 10.0),
+    'suspects': lambda quick: all_suspected(1 if quick else 10, 2.0),
+    'loops': lambda quick: coverage_of_loops(4 if quick else 200, 2.0, 200)}
 
 
 def main():

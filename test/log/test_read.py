@@ -118,7 +118,7 @@ def test_series_agree_with_another_reader(log, paper):
     assert recording.scene == timo_sim.load_scene(paper)
     topics = recording.topics
     # The log has no clock, and there is no motor with a voltage.
-    assert set(topics) == {each.name for each in (*outputs(1), *COMMANDS)} - {
+    assert set(topics) == {each.name for each in (*recording.scene.outputs, *COMMANDS)} - {
         '/clock', '~/motor_voltage'}
     found = {name: [] for name in topics}
     for message in read_ros2_messages(str(log)):

@@ -271,7 +271,7 @@ def _spline(t, angle, knots):
 
 _AT_STEP = 1e-6  # [steps] distance from a step within which a sample is taken at it
 _MAX_STEPS = 1e7
-_DIVERGED = 1e3  # residual, in standard deviations, of a run that diverges
+DIVERGED = 1e3  # residual, in standard deviations, of a run that diverges
 
 
 @dataclass(frozen=True)
@@ -370,7 +370,7 @@ class Problem:
         found = {}
         for name, channel in self.record.outputs.items():
             gain, bias, delay, lag = sensor_of(values, name)
-            t = channel.t[_is_within(channel.t, begin, end, self.until)]
+            t = channel.t[is_within(channel.t, begin, end, self.until)]
             seen = _with_lag(OUTPUTS[name].of_run(run), lag / run.scene.step)
             found[name] = t, gain * _interpolate(t - begin - delay, run, seen) + bias
         return found
@@ -383,17 +383,17 @@ class Problem:
             run = self.run(values, window.begin, window.end, initial)
             predicted = self.predictions(run, values, window.begin, window.end)
         except (DivergenceError, ParameterError):
-            return np.full(sum(map(len, measured.values())), _DIVERGED)
+            return np.full(sum(map(len, measured.values())), DIVERGED)
         return np.concatenate([(predicted[name][1] - measured[name]) / deviations[name]
                                for name in measured])
 
     def measurements(self, window: Window) -> dict[str, np.ndarray]:
         """Return the measured samples of a window, by output."""
-        return {name: channel.values[_is_within(channel.t, window.begin, window.end, self.until)]
+        return {name: channel.values[is_within(channel.t, window.begin, window.end, self.until)]
                 for name, channel in self.record.outputs.items()}
 
 
-def _is_within(t, begin, end, until):
+def is_within(t, begin, end, until):
     """Return which times are from `begin` to `end`; `end` itself counts only at `until`."""
     return (t >= begin) & ((t <= end) if end == until else (t < end))
 

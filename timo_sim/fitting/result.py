@@ -20,7 +20,9 @@ from timo_sim.fitting.next import next_inputs, NextInput
 from timo_sim.fitting.record import read_log, read_record, Record, SUFFIXES, unit_of
 from timo_sim.fitting.problem import (
     covariance, NORMAL, Problem, r_squared, unidentified_combinations, whiteness)
+from timo_sim.fitting.posterior import Posterior, Samples
 from timo_sim.fitting.search import LOSSES, NUMERICAL, Search
+from timo_sim.fitting.suspects import name_suspects, Suspect, suspects
 from timo_sim.runs.run import Run
 from timo_sim.scene.files import whole_file
 from timo_sim.scene.parameters import changed, Parameter, ParameterError, short, warn
@@ -42,6 +44,8 @@ class Estimate:
 
     `deviation` is the standard deviation; of a positive parameter that of its logarithm times its
     value. `start` is the first guess; `bound` is 'low' or 'high' if it is at this bound, else ''.
+    `profile` says that the interval is where the least squares with this parameter held have
+    risen by as much, because they are not quadratic; there it need not be symmetric.
     """
 
     value: float
@@ -52,6 +56,7 @@ class Estimate:
     unit: str
     identified: bool
     bound: str
+    profile: bool = False
 
 
 @dataclass(frozen=True)
@@ -165,8 +170,11 @@ class Fit(Prediction):
         Other sets of values, by name, with which the records are fitted as well.
     more : list of Prediction
         Of further records, with those that were held out at the end.
-    search, information : Search, ndarray of shape (p, p)
+    posterior, information : Posterior, ndarray of shape (p, p)
         With the coordinates of the minimum; the inverse of their covariance for white residuals.
+    suspects : list of Suspect
+        What the scene may lack, that of the largest share of the squares of the residuals first;
+        empty if these are white.
 
     """
 
@@ -180,8 +188,9 @@ class Fit(Prediction):
     starts: int = 1
     others: list = field(default_factory=list)
     more: list = field(default_factory=list)
-    search: Any = None
+    posterior: Any = None
     information: Any = None
+    suspects: list[Suspect] = field(default_factory=list)
 
     @property
     def values(self) -> dict[str, float]:
@@ -200,7 +209,8 @@ class Fit(Prediction):
         for name, each in self.estimates.items():
             shown = (f'{each.value:>11.5g}  {f"{each.low:.5g} to {each.high:.5g}":>25}'
                      if each.identified else f'{"not identified by this record":>38}')
-            bound = f'  at its {each.bound} bound' if each.bound else ''
+            bound = '  by profile' * each.profile + (
+                f'  at its {each.bound} bound' if each.bound else '')
             lines.append(f'{name:<{width}}  {shown}  {each.start:>11.5g}  {each.unit}{bound}'
                          .rstrip())
         pairs = [f'{first} and {second} ({self.correlation[i, j]:.3f})'
@@ -225,6 +235,19 @@ class Fit(Prediction):
             'allow for correlated residuals')]
         return '\n'.join([*lines, *(f'warning: {each}' for each in self.warnings)])
 
+    def sample(self, n: int, seed: int = 0) -> Samples:
+        """
+        Return n Samples of the parameters that the records allow, each as likely as the others.
+
+        Up to 1000 draws from a wider distribution are weighted by the squares of their runs, about
+        two for each. Raises ParameterError if a parameter is not identified, since the records
+        then allow any value of it.
+        """
+        lost = [name for name, each in self.estimates.items() if not each.identified]
+        if lost:
+            raise ParameterError(f'samples need parameters that are identified: fix {lost[0]}')
+        return self.posterior.sample(n, seed, self.scene)
+
     def next_input(self, limit: float | None = None,
                    duration: float | None = None) -> list[NextInput]:
         """
@@ -234,7 +257,7 @@ class Fit(Prediction):
         default by the largest value of the first record's input; `duration` is by default that of
         the first record [s]. Raises ParameterError if that has no input other than drive.
         """
-        return next_inputs(self.search, self.information, self.scene, limit, duration)
+        return next_inputs(self.posterior.search, self.information, self.scene, limit, duration)
 
     def save(self, path: str | Path) -> Path:
         """Write the fitted scene as a parameter file for `sim_node`; an existing one is kept."""
@@ -342,25 +365,30 @@ def fit(scene: SceneLike | None, record: RecordLike | Sequence[RecordLike], free
     search = Search(problems, loss)
     search.run(starts)
     names, count = [free.name for free in search.free], len(search.free)
-    jacobians, residuals, jumps, friction = search.derivatives()
+    jacobians, residuals, jumps = search.derivatives()
     seconds = time.monotonic() - begun
     x, states = search.x[:count], search.states(search.x)
     spread, white = covariance(jacobians, residuals)
+    whole = np.concatenate(jacobians)
+    posterior = Posterior(search, whole, spread)
     spread = spread[:count, :count]
     sigma = np.sqrt(np.diag(spread))
+    halves = NORMAL * sigma
+    known = [bool(half < (1.0 if each.log else max(1.0, abs(at))))
+             for each, at, half in zip(search.free, x, halves)]
+    profiles = posterior.intervals(np.flatnonzero(known))
     estimates = {}
-    for each, at, deviation in zip(search.free, x, sigma):
-        value, half = each.value(at), NORMAL * deviation
-        identified = bool(half < (1.0 if each.log else max(1.0, abs(at))))
+    for k, (each, at, half, identified) in enumerate(zip(search.free, x, halves, known)):
+        value = each.value(at)
         edges = each.coordinate(each.low), each.coordinate(each.high)
         bound = next((name for name, edge in zip(('low', 'high'), edges)
                       if abs(at - edge) < _AT_BOUND), '')
-        low, high = ((each.value(at - half), each.value(at + half)) if identified
+        low, high = (map(each.value, profiles.get(k, (at - half, at + half))) if identified
                      else (math.nan, math.nan))
         estimates[each.name] = Estimate(
             value if identified else math.nan, low, high,
-            deviation * (value if each.log else each.scale) if identified else math.nan,
-            each.start, each.unit, identified, bound)
+            sigma[k] * (value if each.log else each.scale) if identified else math.nan,
+            each.start, each.unit, identified, bound, k in profiles)
     doubts, predictions = [], []
     if jumps:
         cause = ', as with dry friction' if start.friction.any() else ''
@@ -384,12 +412,13 @@ def fit(scene: SceneLike | None, record: RecordLike | Sequence[RecordLike], free
         prediction, told = _predict(problem, values, initial.get(k), {
             name: series.get((k, name), []) for name in problem.record.outputs})
         predictions.append(prediction)
-        if k < len(measured):
-            told[:0] = _possible_causes(prediction.errors, search.against[k],
-                                        {} if white or k else friction)
         doubts += [f'{each} (record {k + 1})' if len(problems) > 1 else each for each in told]
+    likely = []
+    if not white and any(1.0 - each.r_squared > NUMERICAL for prediction in predictions
+                         for each in prediction.errors.values()):
+        likely = suspects(search, whole, np.concatenate(residuals))
+        doubts[:0] = name_suspects(likely)
     # The derivatives by the parameters that initial states of windows cannot make up for.
-    whole = np.concatenate(jacobians)
     q, _ = np.linalg.qr(whole[:, count:])
     own = whole[:, :count] - q @ (q.T @ whole[:, :count])
     parts = unidentified_combinations(
@@ -398,7 +427,7 @@ def fit(scene: SceneLike | None, record: RecordLike | Sequence[RecordLike], free
     first, *more = predictions
     found = Fit(first.record, first.errors, first.run, first.predicted, first.until, fitted,
                 estimates, correlation, parts, white, doubts, seconds, search.tried,
-                search.others, more, search, own.T @ own)
+                search.others, more, posterior, own.T @ own, likely)
     if doubts:
         warn('; '.join(doubts))
     return found
@@ -445,27 +474,8 @@ def _read(scene, record, mapping):
 
 _AT_BOUND = 1e-3  # distance from a bound, in coordinates of the fit, that counts as none
 _MIN_SAMPLES = 10  # samples of a part whose errors are worth a number
-_ANTICORRELATED = -0.5  # correlation below which a sign may be the other one
-_MIN_R_SQUARED = 0.5  # R^2 below which an output is not predicted
-_MIN_EXPLAINED = 0.2  # part of the squares of residuals from which on its cause is named
 _MAX_NOISE_RATIO = 2.0  # ratio of a residual to the known noise, above which there is a warning
 _MAX_NUMERICAL = 0.2  # part of a residual that may be numerical error
-
-
-def _possible_causes(errors, against, friction):
-    """Yield what may be wrong with a record or a scene that do not agree."""
-    if not all(each.r_squared > _MIN_R_SQUARED for each in errors.values()):
-        for name, correlation in against.items():
-            if correlation < _ANTICORRELATED:
-                yield (f'{name} is anticorrelated with a run of the first guess '
-                       f'({correlation:.2f}): its sign, or that of an input, may be the other one '
-                       '(scale: -1 in the mapping)')
-    for name, (share, value) in friction.items():
-        if share > _MIN_EXPLAINED and any(1.0 - each.r_squared > NUMERICAL
-                                          for each in errors.values()):
-            yield (f'dry friction, which the scene has not got, would explain {100.0 * share:.0f} '
-                   f'% of the squares of the residuals: set {name} to about {value:.2g}, and free '
-                   'it')
 
 
 def _predict(problem, values, initial, residuals):

@@ -5,9 +5,10 @@
 
 from __future__ import annotations
 
-from collections.abc import Sequence
+from collections.abc import Mapping, Sequence
 from dataclasses import replace
 import math
+from typing import Any
 
 import numpy as np
 from scipy.optimize import least_squares
@@ -30,8 +31,6 @@ _LOOSE, _TIGHT = (1e-4, 1e-3), (1e-7, 1e-6)
 _MAX_SEARCHES = 6  # most searches with standard deviations from the one before
 _SETTLED_CHANGE = 0.01  # relative change of standard deviations that counts as none
 _PRIOR_DEVIATION = 10.0  # standard deviation of initial states of windows, in their scales
-# Sizes of dry friction that are tried, as shares of the force that accelerates the free body.
-_FRICTION_SHARES = 0.01, 0.1, 1.0
 _SAME = 0.01  # relative difference of sums of squares below which they are the same
 _WORTHWHILE = 3.0  # ratio to the least, below which a minimum of the first part is followed
 NUMERICAL = 1e-9  # 1 - R^2 below which only numerical errors are left
@@ -72,8 +71,8 @@ class Search:
         self._least = [{name: _MIN_DEVIATION * each for name, each in deviations.items()}
                        for deviations in self.deviations]
         self.x = np.array([each.coordinate(each.start) for each in self.free])
-        self._low = np.array([each.coordinate(each.low) for each in self.free])
-        self._high = np.array([each.coordinate(each.high) for each in self.free])
+        self.low = np.array([each.coordinate(each.low) for each in self.free])
+        self.high = np.array([each.coordinate(each.high) for each in self.free])
         self.windows = [(k, window) for k, each in enumerate(problems) for window in each.windows]
         # Of each window, the Free parameters of its initial state.
         self._states: list[list[Free]] = [[] for _ in self.windows]
@@ -93,8 +92,8 @@ class Search:
             every = [each for states in self._states for each in states]
             start = np.array([each.coordinate(each.start) for each in every])
             self.x, self._prior = np.concatenate([self.x, start]), start
-            self._low = np.concatenate([self._low, np.full(len(every), -np.inf)])
-            self._high = np.concatenate([self._high, np.full(len(every), np.inf)])
+            self.low = np.concatenate([self.low, np.full(len(every), -np.inf)])
+            self.high = np.concatenate([self.high, np.full(len(every), np.inf)])
         for _ in range(_MAX_SEARCHES):
             self._solve(_LOOSE)
             if self._estimate_deviations() < _SETTLED_CHANGE:
@@ -145,7 +144,7 @@ class Search:
         return any(
             np.mean((r * self.deviations[k][name])**2) > most * np.var(measured)
             and whiteness(r) < _HARDLY_WHITE for r, (k, name, measured) in zip(
-                self._split_rows(self._residuals(self.x)), self.series()))
+                self._split_rows(self.residuals(self.x)), self.series()))
 
     def _starts(self, count):
         """Yield x of the first guess, of what records suggest, and of points around that."""
@@ -184,8 +183,8 @@ class Search:
         """Move x to the minimum nearest to itself, or to a given x; return half its squares."""
         tolerance, step = accuracy
         found = least_squares(
-            self._residuals, np.clip(self.x if x is None else x, self._low, self._high),
-            lambda x: self.jacobian(x, step, False), (self._low, self._high), x_scale='jac',
+            self.residuals, np.clip(self.x if x is None else x, self.low, self.high),
+            lambda x: self.jacobian(x, step, False), (self.low, self.high), x_scale='jac',
             loss=self.loss, ftol=tolerance, xtol=tolerance, gtol=1e-12, max_nfev=60)
         self.x = found.x
         return found.cost
@@ -210,13 +209,14 @@ class Search:
         return self.problems[k].residuals({**self.values(x, k), **(more or {})},
                                           self.deviations[k], window, self.states(x)[w])
 
-    def _residuals(self, x, more=None):
+    def residuals(self, x: np.ndarray, more: Mapping[str, Any] | None = None) -> np.ndarray:
+        """Return all residuals, with values of further parameters by name, shape (n,)."""
         parts = [self._residuals_of(x, w, more) for w in range(len(self.windows))]
         return np.concatenate([*parts, (x[len(self.free):] - self._prior) / _PRIOR_DEVIATION])
 
     def jacobian(self, x: np.ndarray, step: float = _CENTRAL, central: bool = True) -> np.ndarray:
         """Return the derivatives of the residuals by x, from differences of runs."""
-        count, here = len(self.free), self._residuals(x)
+        count, here = len(self.free), self.residuals(x)
         sizes = [sum(map(len, self.problems[k].measurements(window).values()))
                  for k, window in self.windows]
         edges = np.concatenate([[0], np.cumsum(sizes)])
@@ -231,9 +231,9 @@ class Search:
                 # A delay is varied by whole steps: within a step the run depends on it only
                 # through the interpolation of the load.
                 size = self.problems[0].scene.step / self.free[k].scale * (step / _CENTRAL)
-            size = size if x[k] + size <= self._high[k] else -size
+            size = size if x[k] + size <= self.high[k] else -size
             shift = size * (np.arange(len(x)) == k)
-            two_sided = central and self._low[k] <= x[k] - size <= self._high[k]
+            two_sided = central and self.low[k] <= x[k] - size <= self.high[k]
             for w in windows[k]:
                 rows = slice(edges[w], edges[w + 1])
                 other = self._residuals_of(x - shift, w) if two_sided else here[rows]
@@ -248,7 +248,7 @@ class Search:
 
     def _estimate_deviations(self):
         """Estimate the standard deviations of the sensors; return the largest relative change."""
-        rows, change = self._split_rows(self._residuals(self.x)), 0.0
+        rows, change = self._split_rows(self.residuals(self.x)), 0.0
         of_sensor = {}
         for (k, name, _), r in zip(self.series(), rows):
             of_sensor.setdefault((k, name), []).append(r)
@@ -263,62 +263,31 @@ class Search:
                 self.deviations[k][name] = new
         return change
 
-    def derivatives(self) -> tuple[list[np.ndarray], list[np.ndarray], list[str],
-                                   dict[str, tuple[float, float]]]:
+    def derivatives(self) -> tuple[list[np.ndarray], list[np.ndarray], list[str]]:
         """
-        Return the derivatives at the end: jacobians, residuals, jumps, friction.
+        Return the derivatives at the end: jacobians, residuals, jumps.
 
         The first two are lists of ndarray, (n_i, p + k) and (n_i,), of each output in each window,
         and of the prior of k initial states of windows; with a loss other than `linear` they have
-        its weights. `jumps` names parameters on which runs depend in jumps. `friction` has, by
-        name of a parameter of dry friction that the scene has not got, the part of the squares of
-        the residuals that it would explain, and its value.
+        its weights. `jumps` names parameters on which runs depend in jumps.
         """
-        jacobian, residuals = self.jacobian(self.x), self._residuals(self.x)
+        jacobian, residuals = self.jacobian(self.x), self.residuals(self.x)
         wide, count = self.jacobian(self.x, _WIDE), len(self.free)
         size, other = np.linalg.norm(jacobian, axis=0), np.linalg.norm(wide, axis=0)
         rough = np.linalg.norm(jacobian - wide, axis=0) > _MAX_DIFFERENCE * np.minimum(size, other)
         # Where a run jumps, the smaller derivative is taken: it makes the interval wider.
         jacobian[:, rough & (other < size)] = wide[:, rough & (other < size)]
         jumps = [free.name for free, jumps in zip(self.free, rough[:count]) if jumps]
-        weight = {'linear': lambda z: np.ones_like(z), 'soft_l1': lambda z: (1.0 + z)**-0.5,
-                  'huber': lambda z: np.where(z <= 1.0, 1.0, 1.0 / np.sqrt(np.maximum(z, 1.0))),
-                  'cauchy': lambda z: 1.0 / (1.0 + z)}[self.loss](residuals**2)
-        root = np.sqrt(weight)
-        friction = self._friction(jacobian * root[:, np.newaxis], residuals, root)
-        root[len(root) - len(self._prior):] = 1.0  # the prior has no weights
+        root = self.weights(residuals)
         jacobians, parts = (self._split_rows(rows) for rows in (
             jacobian * root[:, np.newaxis], residuals * root))
         used = len(parts) - (not len(self._prior))
-        return jacobians[:used], parts[:used], jumps, friction
+        return jacobians[:used], parts[:used], jumps
 
-    def _friction(self, jacobian, residuals, root):
-        """Return what dry friction would explain beside all that is free, see `derivatives`."""
-        problem, found = self.problems[0], {}
-        values, state = self.values(self.x, 0), self.states(self.x)[0]
-        scene = problem.scene_of(values, state)
-        try:
-            run = problem.run(values, 0.0, problem.until, state)
-        except DivergenceError:
-            return found
-        motion = run.values[:, run.values.shape[1] // 2:][:, :3]
-        needed = np.abs(np.diag(run.model.mass_matrix(run.values[0])[0])[:3] * np.sqrt(
-            np.mean(np.gradient(motion, run.t, axis=0)**2, axis=0)))
-        free, _ = np.linalg.qr(jacobian)
-        left = root * residuals
-        left -= free @ (free.T @ left)
-        for name, size in (('carrier.coulomb_friction', needed[:2].max()),
-                           ('motor.coulomb_friction', needed[2])):
-            if not size or scene.values[name]:
-                continue
-            for each in _FRICTION_SHARES:
-                try:
-                    scene.vary({name: each * size})
-                except ParameterError:
-                    continue
-                changed = root * (self._residuals(self.x, {name: each * size}) - residuals)
-                changed -= free @ (free.T @ changed)
-                fall, power = -(changed @ left), changed @ changed
-                if fall > 0.0 and fall**2 > found.get(name, (0.0, 0.0))[0] * power * (left @ left):
-                    found[name] = fall**2 / (power * (left @ left)), fall / power * each * size
-        return found
+    def weights(self, residuals: np.ndarray) -> np.ndarray:
+        """Return the roots of the weights that the loss gives to residuals, shape (n,)."""
+        weight = {'linear': lambda z: np.ones_like(z), 'soft_l1': lambda z: (1.0 + z)**-0.5,
+                  'huber': lambda z: np.where(z <= 1.0, 1.0, 1.0 / np.sqrt(np.maximum(z, 1.0))),
+                  'cauchy': lambda z: 1.0 / (1.0 + z)}[self.loss](residuals**2)
+        weight[len(weight) - len(self._prior):] = 1.0  # the prior has no weights
+        return np.sqrt(weight)

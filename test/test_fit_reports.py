@@ -1,0 +1,185 @@
+# Copyright 2026 The timo_sim authors
+# SPDX-License-Identifier: Apache-2.0
+
+
+"""What a fit says beyond its estimates: suspects, profile intervals, samples."""
+
+from pathlib import Path
+import warnings
+
+import numpy as np
+import pytest
+from scipy.optimize import brentq, minimize_scalar
+
+import timo_sim
+from timo_sim.fitting.record import Channel
+
+T = 0.002 * np.arange(1001)
+VOLTAGE = 2.0 * np.sign(np.sin(9.0 * T)) + np.sin(2.0 * np.pi * (0.5 + 2.0 * T) * T)
+NOISE = {'shaft': 1e-3, 'tip_transverse': 3e-4}  # standard deviations [rad, m]
+ARM = timo_sim.load_scene({
+    'arm.length': 0.42, 'arm.height': 0.001, 'arm.density': 7800.0, 'arm.young_modulus': 2e11,
+    'arm.shear_modulus': 77e9, 'arm.damping_ratio': [0.01], 'carrier.held': 'both',
+    'end_effector.mass': 0.05, 'end_effector.inertia': 1e-5, 'initial.shaft': 0.0,
+    'integrator.step': 0.002, 'motor.shaft_inertia': 2e-3, 'motor.viscous_friction': 0.02,
+    'motor.dc.resistance': 2.6, 'motor.dc.torque_constant': 0.0077, 'motor.dc.gear_ratio': 70.0})
+GAIN = 0.0077 * 70.0 / 2.6  # torque per voltage [N m/V]
+FREE = ['arm.young_modulus', 'end_effector.mass', 'motor.viscous_friction', 'motor.shaft_inertia']
+GEAR = {'motor.gear.stiffness': 100.0, 'motor.gear.damping': 0.05, 'motor.gear.backlash': 0.02,
+        'motor.shaft_inertia': 1e-3, 'motor.rotor.inertia': 1e-3 / 70.0**2}
+
+
+def record(more=None, volts=VOLTAGE, late=0, signs=(1.0, 1.0)):
+    """Return a Record whose voltage is said to be VOLTAGE; the tip is `late` by 0.5 ms each."""
+    run = timo_sim.simulate(ARM.vary({
+        'integrator.step': 0.0005, 'load.torque.piecewise.time': T,
+        'load.torque.piecewise.value': GAIN * volts, **(more or {})}), T[-1], estimate=False)
+    tip = run.deflection()[np.maximum(np.arange(0, len(run.t), 4) - late, 0), 1]
+    random = np.random.default_rng(1)
+    return timo_sim.Record.of({'voltage': (T, VOLTAGE)}, {
+        name: (T, sign * values + NOISE[name] * random.standard_normal(len(T)))
+        for sign, (name, values) in zip(signs, {
+            'shaft': run.shaft[::4], 'tip_transverse': tip}.items())})
+
+
+def fit(measured, free=FREE, factor=1.1, **options):
+    guess = {name: [1.1 * value[0]] if isinstance(value, tuple) else factor * value
+             for name, value in ARM.values.items() if name in free}
+    with warnings.catch_warnings():
+        warnings.simplefilter('ignore', timo_sim.ModelWarning)
+        return timo_sim.fit(ARM.vary(guess), measured, free, starts=1, **options)
+
+
+@pytest.mark.parametrize('name, made', [
+    ('', {}), ('dry friction of the motor', {'more': {'motor.coulomb_friction': 0.03}}),
+    ('a delay of tip_transverse', {'late': 9}), ('the sign of voltage', {'signs': (-1.0, -1.0)}),
+    ('the sign of tip_transverse', {'signs': (1.0, -1.0)}),
+    ('a limit of the voltage', {'volts': np.clip(VOLTAGE, -2.4, 2.4)}),
+    ('gravity, as of a tilted plane', {'more': {'gravity': [0.2, -0.4]}}),
+    ('backlash of the gear', {'more': GEAR})])
+def test_what_a_record_has_and_the_scene_lacks_is_the_first_suspect(name, made):
+    found = fit(record(**made))
+    told = [text for text in found.warnings if 'look like' in text]
+    if not name:
+        assert found.white and not told
+        return
+    assert found.suspects[0].name == name
+    assert told[0].startswith(f'the residuals look like {name} (') and told[0] in found.report()
+    shares = [each.share for each in found.suspects]
+    assert shares == sorted(shares, reverse=True) and 0.0 <= shares[-1] <= shares[0] <= 1.0
+
+
+def test_the_size_of_a_suspect_is_that_of_the_record():
+    """To first order, for dry friction of 0.03 N m."""
+    advice = fit(record({'motor.coulomb_friction': 0.03})).suspects[0].advice
+    assert float(advice.split()[4].rstrip(',')) == pytest.approx(0.03, rel=0.2)
+
+
+def test_a_resonance_beside_the_modes_has_its_frequency():
+    """Of a mount, which shakes the camera that sees the tip, at 31 Hz."""
+    measured, omega = record(), 2.0 * np.pi * 31.0
+    x, shown = np.zeros(2), []
+    for volts in VOLTAGE:
+        shown.append(x[0])
+        for _ in range(20):  # semi-implicit Euler, steps of 0.1 ms
+            x[1] += 1e-4 * (omega**2 * (volts - x[0]) - 0.02 * omega * x[1])
+            x[0] += 1e-4 * x[1]
+    tip = measured.outputs['tip_transverse']
+    measured.outputs['tip_transverse'] = tip._replace(values=tip.values + 1e-3 * np.array(shown))
+    first = fit(measured).suspects[0]
+    assert first.name.startswith('a resonance at ')
+    assert float(first.name.split()[3]) == pytest.approx(31.0, rel=0.05)
+
+
+COARSE = T[::4]
+
+
+def shaft_of(damping, inertia):
+    """Return the angle of a rigid shaft under a torque of 0.1 N m that begins at rest, (n,)."""
+    rate = damping / inertia
+    return 0.1 / damping * (COARSE + np.expm1(-rate * COARSE) / rate)
+
+
+@pytest.fixture(scope='module')
+def rigid():
+    """Return the squares of residuals of a rigid shaft by logarithms, (2,), and its Fit."""
+    inertia, damping, noise = 2.0, 0.5, 4.5e-3
+    scene = timo_sim.load_scene({
+        'carrier.held': 'both', 'model.modes': 0, 'initial.shaft': 0.0, 'integrator.step': 0.008,
+        'arm.length': 0.1, 'arm.height': 1e-4, 'end_effector.mass': 0.0,
+        'end_effector.inertia': 0.0, 'motor.shaft_inertia': inertia,
+        'motor.viscous_friction': damping})
+    count = len(COARSE)
+    seen = shaft_of(damping, inertia) + noise * np.random.default_rng(4).standard_normal(count)
+    measured = timo_sim.Record.of({'torque': (COARSE, np.full(count, 0.1))}, {
+        'shaft': Channel(COARSE, seen, noise)})
+    found = timo_sim.fit(scene, measured, ['motor.viscous_friction', 'motor.shaft_inertia'])
+    return lambda x: np.sum(((shaft_of(*np.exp(x)) - seen) / noise)**2), found
+
+
+def test_profile_intervals_are_those_of_the_least_squares(rigid):
+    """Of a rigid shaft, whose motion has a closed form; a quadratic one is off by a third."""
+    squares, found = rigid
+    each, inertia = found.estimates['motor.viscous_friction'], found.values['motor.shaft_inertia']
+    assert each.profile and ' N m s/rad  by profile' in found.report()
+
+    def least(friction):
+        """Return the least squares with this logarithm of the friction."""
+        return minimize_scalar(lambda other: squares([friction, other]),
+                               np.log(inertia) + np.array([-0.1, 0.1]), tol=1e-10).fun
+
+    best = np.log(each.value)
+    for end, far in ((each.low, best - 4.0), (each.high, best + 2.0)):
+        exact = brentq(lambda at: least(at) - least(best) - 1.959964**2, far, best)
+        # An end is accepted where the root of the rise is within 3 % of what it should be.
+        assert np.log(end) - best == pytest.approx(exact - best, rel=0.04)
+
+
+def test_samples_are_those_of_the_posterior(rigid):
+    """Of all values on a grid of logarithms, each weighted by its likelihood."""
+    squares, found = rigid
+    samples = found.sample(4000, seed=3)
+    axes = [np.linspace(-3.5, 0.5, 200), np.linspace(0.4, 0.9, 100)]
+    least = squares(np.log([*found.values.values()]))
+    weights = np.array([[np.exp(-0.5 * (squares([a, b]) - least)) for b in axes[1]]
+                        for a in axes[0]])
+    for k, (name, axis) in enumerate(zip(found.estimates, axes)):
+        whole = np.cumsum(weights.sum(axis=1 - k))
+        drawn = np.log(samples.values[name])
+        for part in (0.05, 0.5, 0.95):
+            exact = np.interp(part, whole / whole[-1], axis)
+            share = np.mean(drawn <= exact)
+            # Four standard deviations of a share of `effective` samples.
+            assert abs(share - part) < 4.0 * np.sqrt(part * (1.0 - part) / samples.effective)
+    first = found.scene.vary(samples.variations[0])
+    assert first.values['motor.viscous_friction'] == samples.values['motor.viscous_friction'][0]
+
+
+def test_the_certified_loop_is_that_of_a_simulator(monkeypatch):
+    """Overshoot and settling of example/certify.py, from a Simulator in a loop."""
+    monkeypatch.syspath_prepend(Path(__file__).parents[1] / 'example')
+    import certify
+    scenes = [timo_sim.load_scene(certify.ARM, {'end_effector.mass': mass}) for mass in (
+        0.05, 0.08)]
+    found = np.transpose(certify.slew(scenes, *np.array([[0.5, -1.0], [0.3, 0.6]])))
+    for scene, stroke, begin, (overshoot, settled) in zip(scenes, (0.5, -1.0), (0.3, 0.6), found):
+        simulator, last, angles = timo_sim.Simulator(scene), 0.0, []
+        for k in range(round(certify.DURATION / certify.PERIOD)):
+            t, shaft = k * certify.PERIOD, simulator.motion.shaft
+            s = min(t / certify.SLEW, 1.0)
+            goal = certify.GOAL * s**3 * (10.0 - 15.0 * s + 6.0 * s**2)
+            speed = certify.GOAL * 30.0 * (s * (1.0 - s))**2 / certify.SLEW
+            simulator.step(
+                voltage=certify.STIFFNESS * (goal - shaft) + certify.DAMPING * (
+                    speed - (shaft - last) / certify.PERIOD),
+                tip_force=(0.0, stroke * (begin <= t < begin + certify.STROKE_LASTS)),
+                duration=certify.PERIOD)
+            last = shaft
+            x, y = simulator.position()
+            angles.append(np.arctan2(y, x) / certify.GOAL - 1.0)
+        assert overshoot == pytest.approx(max(angles), rel=1e-6)
+        late = max(k for k, angle in enumerate(angles) if abs(angle) > certify.BAND)
+        assert certify.PERIOD * (late + 1) <= settled <= certify.PERIOD * (late + 2)
+        assert settled < certify.DURATION - 0.1
+    # If all of n are good, the lower end is where this has a probability of 2.5 %.
+    assert certify.between(100, 100) == (pytest.approx(0.025**0.01), 1.0)

@@ -1,0 +1,164 @@
+# Copyright 2026 The timo_sim authors
+# SPDX-License-Identifier: Apache-2.0
+
+"""
+What parameters a record allows: intervals and samples, also where squares are not quadratic.
+
+The likelihood falls with the sum of squares S. Correlated residuals count as fewer: a rise of S
+counts by the ratio of the covariance for white residuals to the one that allows for correlation.
+"""
+
+from __future__ import annotations
+
+from collections.abc import Iterable
+from dataclasses import dataclass
+from functools import cached_property
+from typing import Any, NamedTuple
+
+import numpy as np
+
+from timo_sim.fitting.problem import NORMAL
+from timo_sim.fitting.search import Search
+from timo_sim.scene.parameters import Parameter, PARAMETERS, today
+from timo_sim.scene.scene import overrides_of, Scene
+
+_MAX_RATIO = 1.5  # of the rise of squares at the ends of an interval to the quadratic one
+_NEAR = 0.01  # relative distance from the end of a profile interval that counts as none
+_MAX_REFITS = 10  # for an end of a profile interval
+_MAX_STEPS, _SETTLED = 3, 0.05  # of Gauss and Newton in a refit; fall of squares that ends it
+_FREEDOM = 5.0  # degrees of freedom of Student's distribution from which weighted samples come
+_MIN_DRAWS, _MAX_DRAWS = 100, 1000  # draws that are weighted by runs
+_FAR = 3.0  # deviations up to which the volume of a draw is followed
+_COUNT = Parameter('n', 1, '', '', low=1)
+
+
+class Samples(NamedTuple):
+    """
+    Equally likely parameters of a fit.
+
+    `values` has arrays, shape (n,), by name of a free parameter. `variations` is a list of
+    overrides of `Fit.scene`, for `simulate_many` and `Scene.vary`: the parameters of the arm,
+    without initial states and sensors, which are those of a record. `effective` is the number of
+    independent samples that tell as much.
+    """
+
+    values: dict[str, np.ndarray]
+    variations: list[dict[str, Any]]
+    effective: float
+
+
+@dataclass(frozen=True)
+class Posterior:
+    """The coordinates of a Search that its records allow, around the minimum."""
+
+    search: Search
+    jacobian: np.ndarray  # (n, p) of all weighted residuals
+    spread: np.ndarray    # (p, p), covariance of the coordinates
+
+    @cached_property
+    def _root(self):
+        return self.search.weights(self.search.residuals(self.search.x))
+
+    @cached_property
+    def _minimum(self):
+        return self._rows(self.search.x)
+
+    @cached_property
+    def _inverse(self):
+        return np.linalg.pinv(self.jacobian)
+
+    def _rows(self, x):
+        return self._root * self.search.residuals(x)
+
+    def _settle(self, x, held=None):
+        """
+        Return coordinates near x at which the residuals are, as far as they can, those of a line.
+
+        They move where the derivatives at the minimum say, x[held] not; with `held` the line is
+        constant, so they go to the least squares. Also returns the rise of the squares.
+        """
+        some = np.arange(len(x)) != held
+        solve = self._inverse if held is None else np.linalg.pinv(self.jacobian[:, some])
+        goal = self._minimum + (self.jacobian @ (x - self.search.x) if held is None else 0.0)
+        rows = self._rows(x)
+        for _ in range(_MAX_STEPS):
+            move = np.zeros(len(x))
+            move[some] = solve @ (goal - rows)
+            better = self._within(x + move)
+            if np.sum((self.jacobian @ (better - x))**2) < _SETTLED:
+                break
+            found = self._rows(better)
+            if not np.sum((found - goal)**2) < np.sum((rows - goal)**2):
+                break
+            x, rows = better, found
+        return x, rows @ rows - self._minimum @ self._minimum
+
+    def intervals(self, places: Iterable[int]) -> dict[int, tuple[float, float]]:
+        """
+        Return the 95 % intervals, in coordinates, that are not quadratic, by place.
+
+        At the ends of a quadratic interval the squares rise as they should, within a factor. Where
+        they do not, or at a bound, other parameters are fitted with this one held.
+        """
+        found, x = {}, self.search.x
+        for k in places:
+            path = NORMAL * self.spread[:, k] / np.sqrt(self.spread[k, k])
+            target = np.sum((self.jacobian @ path)**2)
+            rises = [self._settle(self._within(x + sign * path), k)[1] for sign in (-1.0, 1.0)]
+            if not all(target / _MAX_RATIO < rise < _MAX_RATIO * target for rise in rises):
+                low, high = (self._end(k, sign * path, target) for sign in (-1.0, 1.0))
+                found[k] = float(low), float(high)
+        return found
+
+    def _within(self, x):
+        return np.clip(x, self.search.low, self.search.high)
+
+    def _end(self, k, path, target):
+        """Return the coordinate at which the least squares have risen by `target` on a side."""
+        start, size = self.search.x, 1.0
+        for _ in range(_MAX_REFITS):
+            x, rise = self._settle(self._within(start + size * path), k)
+            factor = np.sqrt(target / max(rise, 1e-3 * target))
+            stopped = x[k] in (self.search.low[k], self.search.high[k]) and factor > 1.0
+            if stopped or abs(factor - 1.0) < _NEAR:
+                break
+            path = (x - start) / size  # the others follow
+            size *= np.clip(factor, 0.3, 3.0)
+        return x[k]
+
+    def sample(self, n: int, seed: int, scene: Scene) -> Samples:
+        """Return Samples, see `Fit.sample`."""
+        n, search = _COUNT.check(n), self.search
+        random, (size, axes) = np.random.default_rng(seed), np.linalg.eigh(self.spread)
+        axes *= np.sqrt(np.maximum(size, 0.0))
+        z = random.standard_normal((max(_MIN_DRAWS, min(n, _MAX_DRAWS)), len(size)))
+        z *= np.sqrt(_FREEDOM / random.chisquare(_FREEDOM, (len(z), 1)))
+        moves, power = z @ axes.T, np.sum(z**2, axis=1)
+        moved = [self._settle(search.x + each) for each in moves]
+        x, rise = np.array([each for each, _ in moved]), np.array([each for _, each in moved])
+        # The volume that moving makes of a small one, from that at one deviation on each axis.
+        up, down = np.transpose([[self._volume(sign * axis) for sign in (1.0, -1.0)]
+                                 for axis in axes.T])
+        near = np.clip(z, -_FAR, _FAR)
+        volume = near @ (0.5 * (up - down)) + near**2 @ (0.5 * (up + down))
+        logarithm = (volume - 0.5 * rise * power / np.sum((moves @ self.jacobian.T)**2, axis=1)
+                     + 0.5 * (_FREEDOM + len(size)) * np.log1p(power / _FREEDOM))
+        logarithm[np.any((search.low >= x) | (x >= search.high), axis=1)] = -np.inf
+        weights = np.exp(logarithm - logarithm.max())
+        weights /= weights.sum()
+        # Systematic resampling: each draw as often as its weight says, or once more.
+        places = np.searchsorted(np.cumsum(weights), (np.arange(n) + random.random()) / n)
+        x = random.permutation(x[places.clip(max=len(x) - 1)])
+        values = {free.name: np.array([free.value(each) for each in column])
+                  for free, column in zip(search.free, x.T)}
+        own = [free.name for free in search.free if not free.is_own
+               and today(free.name.partition('[')[0]) in PARAMETERS]
+        return Samples(values, [
+            overrides_of(dict(zip(own, map(float, row))), scene)
+            for row in zip(*(values[name] for name in own))], float(1.0 / np.sum(weights**2)))
+
+    def _volume(self, move):
+        """Return the logarithm of the volume that `_settle` makes of a small one at a move."""
+        x, _ = self._settle(self.search.x + move)
+        local = self._root[:, np.newaxis] * self.search.jacobian(x, central=False)
+        return -np.linalg.slogdet(self._inverse @ local)[1]
