@@ -1,7 +1,6 @@
 # Copyright 2026 The timo_sim authors
 # SPDX-License-Identifier: Apache-2.0
 
-
 """
 Fit two real arms and predict the rest of their records: `make real-arm` fills doc/real_arm.md.
 
