@@ -287,8 +287,9 @@ def _set_moments(tables, load, torque, forces, work, script_a, script_b):
     Set A_j and B_j of (T29); return the moment of torque and forces about the shaft.
 
     dT/dq_i = sum_j Phi_ij A_j + Gamma_ij B_j, from (g1, g2) = K (a', b') and the rates of phi and
-    gamma; centrifugal forces, which stiffen an arm that turns, are a part of it. The forces on carrier (T28) and tip (T32) act on C1, C2, which by (T24) gives a sum of
-    the same form: A_j, B_j include it. The sum of its share in A_j is the moment.
+    gamma; centrifugal forces, which stiffen an arm that turns, are a part of it. The forces on
+    carrier (T28) and tip (T32) act on C1, C2, which by (T24) gives a sum of the same form: A_j,
+    B_j include it. The sum of its share in A_j is the moment.
     """
     to_centre, to_tip = as_vectors(tables.to_centre), as_vectors(tables.to_tip)
     rotation, shear = as_vectors(tables.rotation), as_vectors(tables.shear)
