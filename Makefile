@@ -1,6 +1,6 @@
 # Two commands do everything on a fresh machine: `make sim` and `make test`.
 # Both set up .venv with pinned versions; PYTHON=python3.12 chooses the interpreter.
-# CONTRIBUTING.md lists the targets.
+# `make help` lists the targets.
 
 SHELL := /bin/bash
 .SHELLFLAGS := -o pipefail -c
@@ -150,16 +150,17 @@ PACKAGE = --constraint $(CONSTRAINTS) --editable '.[$(EXTRAS)]'
 define INSTALL
 @$(@D)/bin/uv pip install --quiet --python $(@D) $(PACKAGE) || \
 	$(@D)/bin/$(PIP) --use-pep517 $(PACKAGE)
-@touch $@
+@touch $@ $(addprefix $(@D)/,$(ALSO))
 endef
 
-# Extras of the package that each kind of target installs.
+# Extras of the package that each kind of target installs, and the kinds whose extras it has ALSO.
 CONSTRAINTS := constraints.txt
 $(VENV)/.run: EXTRAS := ros
 $(VENV)/.plot: EXTRAS := ros,plot
 $(VENV)/.gallery: EXTRAS := ros,plot,view
 $(VENV)/.benchmark: EXTRAS := ros,benchmark
 $(VENV)/.test: EXTRAS := ros,all,test
+$(VENV)/.test: ALSO := .run .plot .gallery
 $(VENV)/.docs: EXTRAS := docs
 $(VENV)/.run $(VENV)/.plot $(VENV)/.gallery $(VENV)/.benchmark $(VENV)/.test $(VENV)/.docs: \
 		constraints.txt $(METADATA) | $(VENV)/.made

@@ -1,7 +1,6 @@
 # Copyright 2026 The timo_sim authors
 # SPDX-License-Identifier: Apache-2.0
 
-
 """
 Tables of the pages that the code, or another page, knows: `make pages` writes them anew.
 

@@ -1,7 +1,6 @@
 # Copyright 2026 The timo_sim authors
 # SPDX-License-Identifier: Apache-2.0
 
-
 """A scene in C: the bits of `Simulator`, bad calls, what is refused, other processors."""
 
 import os

@@ -1,7 +1,6 @@
 # Copyright 2026 The timo_sim authors
 # SPDX-License-Identifier: Apache-2.0
 
-
 """Fits of scenes to records: truth recovered, inputs, sensors, doubts."""
 
 import warnings

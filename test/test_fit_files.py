@@ -1,7 +1,6 @@
 # Copyright 2026 The timo_sim authors
 # SPDX-License-Identifier: Apache-2.0
 
-
 """Records in files and logs, and the command `timo_sim fit`."""
 
 from pathlib import Path

@@ -1,7 +1,6 @@
 # Copyright 2026 The timo_sim authors
 # SPDX-License-Identifier: Apache-2.0
 
-
 """Fits to made records: intervals hold the truth, and no estimate could be much better."""
 
 import numpy as np

@@ -309,7 +309,7 @@ def test_pages_have_the_tables_of_the_code_and_links_that_lead_somewhere():
     for name, text in PAGES.items():
         begun = sum(text.count(f'<!-- {kind}: ') for kind in ('table', 'made'))
         if begun != text.count('<!-- end -->') or tables.filled(text) != text:
-            wrong.append(f'{name}: a table')
+            wrong.append(f'{name}: a table, `make pages` writes it')
         for target in re.findall(r'\]\(([^)\s]+)\)', text):
             path, _, place = target.partition('#')
             page = (ROOT / name).parent / path if path else ROOT / name

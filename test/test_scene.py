@@ -26,6 +26,7 @@ def test_paper_file_gives_the_defaults_and_the_papers_loads(paper):
     rest = {name: value for name, value in values.items() if name not in loads}
     defaults = {name: parameter.default for name, parameter in PARAMETERS.items()
                 if not name.startswith('load.') and parameter.default != ()}
+    assert not defaults.keys() - rest.keys(), 'config/paper.yaml lacks these parameters'
     assert rest == {name: [*default] if isinstance(default, tuple) else default
                     for name, default in defaults.items()}
     assert {name: value for name, value in loads.items() if 'phase' not in name} == {

@@ -11,7 +11,8 @@ from timo_sim.model import FORMULATIONS
 from timo_sim.scene.parameters import PARAMETERS
 from timo_sim.simulation.simulator import Simulator
 from timo_sim.simulation.snapshot import reading
-from timo_sim.topics.outputs import outputs, SENSORS
+from timo_sim.topics.cdr import form
+from timo_sim.topics.outputs import outputs, SENSORS, TRANSFORMS
 
 MOVING = {'initial.shaft_velocity': 2.0, 'initial.modal_rates': [2.0, 0.5, 0.1]}
 PERFECT = {name: parameter.default for name, parameter in PARAMETERS.items()}
@@ -23,6 +24,16 @@ def measured(simulator):
     snapshot = simulator.snapshot()
     return {output.name: np.array(output.numbers(snapshot))
             for output in outputs(simulator.scene.values['model.modes']) if output.delay}
+
+
+def test_each_topic_and_sensor_has_its_own_name_and_all_numbers_of_its_message():
+    scene = timo_sim.load_scene({'motor.gear.stiffness': 900.0, 'motor.rotor.inertia': 0.5})
+    snapshot = Simulator(scene).snapshot()
+    for output in (*scene.outputs, TRANSFORMS):
+        found = output.content(snapshot, output.numbers(snapshot))
+        assert len(found) == len(form(output.type_name, output.template).places), output.name
+    for names in [each.name for each in SENSORS], [each.name for each in scene.outputs]:
+        assert len({*names}) == len(names)
 
 
 @pytest.mark.parametrize('name', [*FORMULATIONS, 'driven'])

@@ -1,7 +1,6 @@
 # Copyright 2026 The timo_sim authors
 # SPDX-License-Identifier: Apache-2.0
 
-
 """
 Fit real arms and predict what was held out: `make real-arm DATA=folder` fills doc/real_arm.md.
 

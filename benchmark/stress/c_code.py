@@ -1,7 +1,6 @@
 # Copyright 2026 The timo_sim authors
 # SPDX-License-Identifier: Apache-2.0
 
-
 """Random scenes as C libraries: is each number of the state that of `Simulator`?"""
 
 from pathlib import Path

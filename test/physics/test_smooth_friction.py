@@ -1,7 +1,6 @@
 # Copyright 2026 The timo_sim authors
 # SPDX-License-Identifier: Apache-2.0
 
-
 """Coulomb friction that builds up over a speed: closed forms, limits, another integrator."""
 
 import re

@@ -137,7 +137,7 @@ def read(name: str) -> bytes | None:
 
 
 def write(name: str, data: bytes) -> None:
-    """Write a file of the store; warn if that fails, but for want of a folder, which is told."""
+    """Write a file of the store, or warn; without a folder, of which is warned, do nothing."""
     if store_directory() is None:
         return
     unfinished = uuid.uuid4().hex

@@ -52,7 +52,8 @@ class Observer(PointsOfArm):
     scene : Scene, or what `load_scene` takes
         The model, the first motion, and bias, noise and resolution of the sensors.
     sensors : sequence of str, optional
-        Of encoder, root_strain, tip_acceleration, gyro; by default all that are not exact.
+        Names of `topics.outputs.SENSORS`, such as encoder, root_strain, gyro; by default those
+        with noise or a resolution.
     disturbance : mapping of str to (float, float), optional
         What acts and the model does not know, such as wrong friction, by name of a command of
         `Simulator.step`: standard deviation (N, N m or V) and correlation time [s]. It is

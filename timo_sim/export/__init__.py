@@ -1,7 +1,6 @@
 # Copyright 2026 The timo_sim authors
 # SPDX-License-Identifier: Apache-2.0
 
-
 """
 Export of a scene as code that needs no Python: `export_c`, `export_fmu`.
 

@@ -1,7 +1,6 @@
 # Copyright 2026 The timo_sim authors
 # SPDX-License-Identifier: Apache-2.0
 
-
 """Export of a scene as a C library: an object file, its header and a program that runs it."""
 
 from __future__ import annotations

@@ -1,7 +1,6 @@
 # Copyright 2026 The timo_sim authors
 # SPDX-License-Identifier: Apache-2.0
 
-
 """Constants of an exported arm, from a scene; what cannot be exported is refused here by name."""
 
 from typing import NamedTuple

@@ -1,7 +1,6 @@
 # Copyright 2026 The timo_sim authors
 # SPDX-License-Identifier: Apache-2.0
 
-
 """
 The object file of a scene: machine code of its entry points, constants, and the C interface.
 

@@ -1,7 +1,6 @@
 # Copyright 2026 The timo_sim authors
 # SPDX-License-Identifier: Apache-2.0
 
-
 """
 Compiled functions of the `exact` formulation, in the order of doc/theory.md, section 6.
 
@@ -35,10 +34,9 @@ class Tables(NamedTuple):
     Sizes: 1 + N `coordinates`, of which n are `free`, the last A `axial`, and the last R have
     `rates` in place of momenta in the state (T35); n_g `nodes`, the last of which is that of a hub
     if there is one (T50). `gears` is 1 if the gear is elastic, else 0; its coordinate precedes
-    the axial ones. `kernels` is 2, or 1 if that for x
-    holds for y, too; `axes` counts those along which the carrier is free, `pushes` is 1 if a force
-    may act on the arm, else 0; `turning` is the length of the state for an arm that stretches with
-    one axis of the carrier held, else 0.
+    the axial ones. `kernels` is 2, or 1 if that for x holds for y, too; `axes` counts those along
+    which the carrier is free, `pushes` is 1 if a force may act on the arm, else 0; `turning` is
+    the length of the state for an arm that stretches with one axis of the carrier held, else 0.
     """
 
     mass: float  # m_t
@@ -289,8 +287,9 @@ def _set_moments(tables, load, torque, forces, work, script_a, script_b):
     Set A_j and B_j of (T29); return the moment of torque and forces about the shaft.
 
     dT/dq_i = sum_j Phi_ij A_j + Gamma_ij B_j, from (g1, g2) = K (a', b') and the rates of phi and
-    gamma. The forces on carrier (T28) and tip (T32) act on C1, C2, which by (T24) gives a sum of
-    the same form: A_j, B_j include it. The sum of its share in A_j is the moment.
+    gamma; centrifugal forces, which stiffen an arm that turns, are a part of it. The forces on
+    carrier (T28) and tip (T32) act on C1, C2, which by (T24) gives a sum of the same form: A_j,
+    B_j include it. The sum of its share in A_j is the moment.
     """
     to_centre, to_tip = as_vectors(tables.to_centre), as_vectors(tables.to_tip)
     rotation, shear = as_vectors(tables.rotation), as_vectors(tables.shear)

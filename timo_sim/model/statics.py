@@ -109,8 +109,9 @@ def _check_carrier(model, forces, load):
     weights = np.abs(model.mass * model.gravity).sum() + np.abs(load).sum()
     for axis, left in zip(model.axes, forces):
         if abs(left) > _UNBALANCED * weights:
-            raise ValueError(f'there is none, because the carrier is free along {"xy"[axis]} and '
-                             'the forces along it do not balance; hold it with carrier.held')
+            raise ValueError('there is no equilibrium, because the carrier is free along '
+                             f'{"xy"[axis]} and the forces along it do not balance; hold it with '
+                             'carrier.held')
 
 
 def pick_up(model: Formulation, motion: np.ndarray, mass: float,

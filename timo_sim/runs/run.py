@@ -217,7 +217,7 @@ class Run(MotionFields, PointsOfArm):
         for output in self._outputs():
             values = np.array([output.numbers(snapshot) for snapshot in snapshots])
             names, values = with_angles(output.columns, values)
-            found.update(zip(column_names(output.name, names), values.T))
+            found.update(zip(column_names(output.name, names), values.T, strict=True))
         return found
 
     def to_pandas(self) -> pandas.DataFrame:

@@ -1,7 +1,6 @@
 # Copyright 2026 The timo_sim authors
 # SPDX-License-Identifier: Apache-2.0
 
-
 """
 Steps with Coulomb friction of the joints that stick: carrier along world x and y, and shaft.
 

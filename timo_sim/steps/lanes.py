@@ -1,7 +1,6 @@
 # Copyright 2026 The timo_sim authors
 # SPDX-License-Identifier: Apache-2.0
 
-
 """
 Equal time steps of many models of one size, as lanes (see `compiled.lanes`).
 

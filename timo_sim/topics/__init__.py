@@ -5,5 +5,6 @@
 Topics as data: their names, types and contents, the meaning of commands, and serialisation.
 
 This package may import NumPy and `model.layout`; it uses neither ROS nor files. A topic is an
-entry in `outputs`, a command one in `commands`, a sensor one in `sensors`.
+entry in `outputs.outputs`, a sensor one in `outputs.SENSORS`, a command one in
+`commands.COMMANDS`.
 """
