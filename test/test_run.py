@@ -120,15 +120,18 @@ def test_a_motion_prints_its_parts_with_units(paper):
 REFUSED = [
     (['papr'], 'did you mean paper?'),
     (['paper', '--set', 'model.mode=2'], 'did you mean model.modes?'),
-    (['paper', '--duration', '0.1', '-o', 'run.txt'], 'must end with .parquet or .csv')
+    (['paper', '--duration', '0.1', '-o', 'run.txt'], 'must end with .mcap, .parquet or .csv'),
+    (['paper', '--duration', '0.1', '-o', 'old.csv'], 'old.csv exists')
 ]
 
 
 def test_the_command_refuses(tmp_path, monkeypatch):
     for arguments, words in REFUSED:
         monkeypatch.chdir(tmp_path)
+        (tmp_path / 'old.csv').touch()
         result = CliRunner().invoke(main, ['simulate', *arguments])
         assert result.exit_code == 2 and words in result.output
+        assert 'samples' not in result.output  # refused before the run, which may take minutes
 
 
 def test_several_values_may_follow_set(tmp_path):

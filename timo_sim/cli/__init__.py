@@ -12,6 +12,7 @@ from collections.abc import Iterable
 from functools import partial
 import itertools
 import os
+from pathlib import Path
 import re
 import signal
 import sys
@@ -360,11 +361,14 @@ def simulate(scene: str, duration: float, settings: tuple[str, ...], output: str
 
     Exit codes: 0 good; 1 the run diverges (samples up to there are written); 2 bad input.
     """
+    from timo_sim.log.tables import check_table
     from timo_sim.runs.simulate import resolve, simulate
     from timo_sim.scene.parameters import ModelWarning, whole_ratio
     from timo_sim.scene.scene import load_scene
     from timo_sim.simulation.warnings import DivergenceError
-    # If these are missing, fail before minutes are spent on the run.
+    # What fails should fail before minutes are spent on the run.
+    if output and not output.endswith('.mcap'):
+        check_table(Path(output), also='.mcap, ')
     if png:
         from timo_sim.view import plot
     if view:

@@ -565,7 +565,7 @@ def export(file: Path | str, output: Path | str, topic: str | None = None,
     `output` exists or has another suffix.
     """
     path = Path(output)
-    _check_table(path)
+    check_table(path)
     recording = Recording(file, node)
     columns, left = table(recording, topic)
     write_table(columns, path)
@@ -577,7 +577,7 @@ def export(file: Path | str, output: Path | str, topic: str | None = None,
 
 def write_table(columns: dict[str, np.ndarray], path: Path) -> None:
     """Write columns by name to a path; raise LogError unless it is new, and *.parquet or *.csv."""
-    _check_table(path)
+    check_table(path)
     with whole_file(path, new=True) as part:
         if path.suffix == '.parquet':
             with optional():
@@ -597,9 +597,10 @@ def write_table(columns: dict[str, np.ndarray], path: Path) -> None:
                     for values in columns.values())))
 
 
-def _check_table(path):
+def check_table(path: Path, also: str = '') -> None:
+    """Raise LogError unless a path is new, and *.parquet or *.csv; the message names `also`."""
     if path.suffix not in ('.parquet', '.csv'):
-        raise LogError(f'{printable(path)} must end with .parquet or .csv')
+        raise LogError(f'{printable(path)} must end with {also}.parquet or .csv')
     _check_new(path)
 
 

@@ -234,10 +234,11 @@ class Run(MotionFields, PointsOfArm):
         `*.csv` is a table. Existing logs are never overwritten; `_1`, `_2`, ... is appended. An
         existing table is a LogError.
         """
-        from timo_sim.log.tables import write_table
+        from timo_sim.log.tables import check_table, write_table
         from timo_sim.log.write import NewLog
         path = Path(path)
         if path.suffix != '.mcap':
+            check_table(path, also='.mcap, ')
             write_table(self.columns(), path)
             return path
         log = NewLog(path, self.scene, {**DEFAULTS, **self.scene.values}, saved_by='Run.save')
