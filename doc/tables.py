@@ -13,7 +13,7 @@ from pathlib import Path
 import re
 from statistics import median
 
-from timo_sim.scene.parameters import NODE, PARAMETERS
+from timo_sim.scene.parameters import MATERIALS, NODE, PARAMETERS
 from timo_sim.topics.commands import COMMANDS
 from timo_sim.topics.outputs import outputs, TRANSFORMS
 
@@ -59,6 +59,14 @@ def parameters():
     return '\n'.join(f'### {group}\n\n' + _table(
         ('parameter', 'default', 'rule', 'meaning'), *map(_row, entries))
         for group, entries in groups.items())
+
+
+def materials():
+    """Return the table of the materials that have names."""
+    return _table(('`arm.material`', 'density [kg/m3]', "Young's modulus [GPa]",
+                   "Poisson's ratio"), *(
+        (name, *(f'{value:g}' for value in (density, 1e-9 * young, poisson)))
+        for name, (density, young, poisson) in MATERIALS.items()))
 
 
 def _row(parameter):
@@ -349,6 +357,7 @@ def fit_windows():
 
 
 TABLES = {'commands': commands, 'outputs': published, 'parameters': parameters,
+          'materials': materials,
           'benchmark': benchmark, 'benchmark_gain': benchmark_gain,
           **{part: _scene(part) for part in ('paper', 'torque', 'spin_up', 'cantilever')},
           'benchmark_bend': benchmark_bend, 'benchmark_cold': benchmark_cold,

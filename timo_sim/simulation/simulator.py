@@ -168,6 +168,9 @@ class Simulator(PointsOfArm):
             elif self._estimate:
                 self._parts = choose_parts(self.scene)[0]
                 self._finer = Simulator(refine(self.scene, self._parts))
+            if self._finer:  # whose equilibrium is another one
+                self._compare(self.motion.values[np.newaxis], self._finer,
+                              self._finer.motion.values[np.newaxis])
 
     def change(self, scene: Scene) -> None:
         """
@@ -483,9 +486,10 @@ class Simulator(PointsOfArm):
             self._finer, self._error = None, math.nan
             self.warning = self.warning or warnings.NO_FINER_RUN
             return
-        self._error = max(self._error, tip_distance(
-            self.model, np.vstack([call.motions for call in calls]), finer.model,
-            np.vstack(others)))
+        self._compare(np.vstack([call.motions for call in calls]), finer, np.vstack(others))
+
+    def _compare(self, motions, finer, others):
+        self._error = max(self._error, tip_distance(self.model, motions, finer.model, others))
         self.warning = self.warning or warnings.inaccurate(self.scene, self._error)
 
     def _rest(self, count, samples):

@@ -70,7 +70,8 @@ def after_steps(scene: Scene, model: Any, share: float, time: float,
         return None
     return (f'before t = {time:.6g} s the tip is bent by {deflection:.2g} m and the axial force '
             f'changes the stiffness of the arm by {round(100.0 * share)} %: model.formulation '
-            f'{formulation} leaves out both effects, take model.formulation exact')
+            f'{formulation} leaves out the shortening of the bent arm and this change, take '
+            'model.formulation exact')
 
 
 def inaccurate(scene: Scene, error: float, remedy: str | None = None) -> str | None:
