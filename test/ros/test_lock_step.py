@@ -276,7 +276,10 @@ def test_the_latest_message_sets_an_input(start, client):
         publishers['joint_command'].publish(message)
     acts_on('motor_torque', Float64(data=0.5), [0.0, 4.0, 0.5])
     acts_on('commands', Float64MultiArray(data=[1.0, 2.0, 3.0]), [1.0, 2.0, 3.0])
-    assert node.end()[0] == 0
+    publishers['joint_command'].publish(JointState(name=['shaft_rad'], effort=[1.0]))
+    acts_on('commands', Float64MultiArray(data=[4.0, 5.0, 6.0]), [4.0, 5.0, 6.0])
+    code, output = node.end()
+    assert code == 0 and "no effect: 'shaft_rad' is none of ('carrier_x'," in output
     recording = Recording(node.log)
     assert recording.summary['refused_commands'] == '5'
     assert int(recording.summary['foreign_joints']) >= 1

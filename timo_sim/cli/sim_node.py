@@ -12,7 +12,7 @@ _HELP = """usage: {name} [--help] [--ros-args ...]
 
 {what}. Parameters are set by --ros-args:
 
-  {name} --ros-args --params-file my_scene.yaml -p duration:=10.0 -p record_file:=run.mcap
+  {name} --ros-args --params-file my_scene.yaml -p name:=value
 
 `ros2 param describe` and the file config/paper.yaml say what each parameter means."""
 

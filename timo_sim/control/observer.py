@@ -104,7 +104,7 @@ class Observer(PointsOfArm):
             replace(_NAME, name='sensors').check(name)
         if not self.sensors or not {*self.sensors} <= {*noisy}:
             raise ParameterError('an observer needs sensors whose noise or resolution is > 0, '
-                                 f'which are {short(noisy)} here, got {short(sensors)}')
+                                 f'here {noisy or "none"}, got {short(sensors or "none")}')
         given = _usual_disturbance(scene.values, model) if disturbance is None else disturbance
         check_arguments(given, 'disturbance')
         pairs = {name: _PAIR.check(pair) for name, pair in given.items()}

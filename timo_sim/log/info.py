@@ -5,6 +5,7 @@
 
 import json
 from pathlib import Path
+from textwrap import wrap
 
 from timo_sim.log.read import LogFile
 from timo_sim.log.write import ENVIRONMENT, in_wall_time
@@ -77,4 +78,5 @@ def _about_topics(summary):
         else:
             silent.append(channel.topic)
     if silent:
-        yield f'  without messages: {", ".join(silent)}'
+        yield from wrap(f'without messages: {", ".join(silent)}', 99, initial_indent='  ',
+                        subsequent_indent='    ', break_on_hyphens=False)

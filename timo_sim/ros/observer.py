@@ -12,13 +12,14 @@ import numpy as np
 from rclpy.qos import QoSProfile, ReliabilityPolicy
 from std_msgs.msg import Float64MultiArray, MultiArrayDimension, MultiArrayLayout
 
+from timo_sim.compiled.machine import telling
 from timo_sim.control.observer import observer
 from timo_sim.model.layout import (
     FORCE_I, FORCE_II, FORCE_X, FORCE_Y, place, TIP_I, TIP_II, TIP_TORQUE, TIP_X, TIP_Y, TORQUE,
     VOLTAGE)
 from timo_sim.ros.parameters import ParameterNode
 from timo_sim.ros.topics import Commands, decode, message_class, MotionOutlet, take
-from timo_sim.scene.parameters import frame_names, Parameter, ParameterError
+from timo_sim.scene.parameters import frame_names, Parameter, ParameterError, short
 from timo_sim.scene.scene import scene_from
 from timo_sim.simulation.warnings import DivergenceError
 from timo_sim.topics.commands import COMMANDED, load_of_commands, RefusedError
@@ -48,12 +49,17 @@ class ObserverNode(ParameterNode):
         super().__init__('observer', namespace='timo_sim', start_parameter_services=False)
         given = self._parameter_overrides.pop('disturbance', None)
         disturbance = given and {'torque': _DISTURBANCE.check(given.value)}
+        if disturbance and len(disturbance['torque']) != 2:
+            raise ParameterError(f'disturbance must be [N m, s], got {short(given.value)}')
         values = self.given()
         scene, frames = scene_from(values), frame_names(values)
         self._stop, self._begin = stop, partial(observer, scene, disturbance=disturbance)
         self._observer, self._begun = self._begin(), False
         self._observer.simulator.warm_up(self.get_logger().info, messages=True)
-        self._count = dict.fromkeys(('used', 'late', 'refused', 'begun again'), 0)
+        with telling(self.get_logger().info):  # `_start` makes a new observer
+            self._observer.update({}, dt=scene.step)
+        self._stamps: dict[str, int] = {}  # of the last measurement used, by topic [ns]
+        self._count = dict.fromkeys(('used', 'repeated', 'late', 'refused', 'begun again'), 0)
         self._commands = Commands(self, values['motor.dc.resistance'] > 0.0, frames)
         self._commanded = np.zeros(COMMANDED)
         self._timeout = math.ceil(values['command_timeout'] / scene.step)
@@ -141,6 +147,9 @@ class ObserverNode(ParameterNode):
             if 'encoder' in self._observer.sensors and 'encoder' not in shown:
                 return
             self._start(step, shown)
+        elif stamp == self._stamps.get(sensors[0].topic):  # while time stands
+            self._count['repeated'] += 1
+            return
         elif step < simulator.steps:
             self.count_failure(f'{", ".join(shown)} of {1e-9 * stamp:.9g} s', 'late')
             return
@@ -148,6 +157,7 @@ class ObserverNode(ParameterNode):
             self._go_on((step - simulator.steps) * simulator.scene.step)
         self._observer.update(shown, dt=0.0)
         self._count['used'] += 1
+        self._stamps[sensors[0].topic] = stamp
         self._publish(stamp)
         if self._observer.consistency > _LOST:
             self._again(self._observer.warning)

@@ -237,7 +237,10 @@ class Inlet:
                 'controllers that do not copy it, as ros2_control, need sync: any_command',
                 once=True)
             return False
-        self.foreign += sum(name not in JOINTS for name in texts[1:])
+        foreign = [name for name in texts[1:] if name not in JOINTS]
+        self.foreign += len(foreign)
+        if foreign and foreign == [*texts[1:]]:
+            self.logger.warning(f'no effect: {foreign[0][:40]!r} is none of {JOINTS}', once=True)
         ignored = [_WRENCH[place] for place in self.command.unused if lists[0][place]]
         if ignored:
             self.logger.warning(f'no effect of {", ".join(ignored)}: the arm moves in a plane, '
