@@ -52,9 +52,9 @@ def feedforward(model: LinearModel, goal: Mapping[str, float], duration: float |
     The goal has values at the end by name of output, `{'shaft_rad': 0.8}`; other outputs are free.
     The duration [s] is a whole multiple of `model.dt`; None is the shortest that the limits allow.
     `limit` is the largest magnitude of the inputs, `rate_limit` that of their rates [1/s], shape
-    () or (inputs,), as a model has none. The plan has the least squared changes of the inputs, with
-    which a rigid arm moves with least jerk, or the least largest change if those would exceed a
-    limit. Raises ParameterError if the duration is too short, with the shortest, or none suffices.
+    () or (inputs,), as a model has none. The plan has the least squared changes of the inputs,
+    with which a rigid arm moves with least jerk, or the least largest change if those would exceed
+    a limit. Raises ParameterError if the duration is too short, with the shortest, or none suffices.
 
     Examples
     --------
@@ -68,8 +68,8 @@ def feedforward(model: LinearModel, goal: Mapping[str, float], duration: float |
     if model.dt is None:
         raise ParameterError('the model must be of discrete time: use model.to_discrete(dt)')
     if not isinstance(goal, Mapping):
-        raise ParameterError("goal must have values by name of output, such as {'shaft_rad': 0.8}, "
-                             f'got {short(goal)}')
+        raise ParameterError("goal must have values by name of output, such as {'shaft_rad': 0.8},"
+                             f' got {short(goal)}')
     values = _GOAL.check([*goal.values()])
     limits = np.stack([np.broadcast_to(_LIMITS.check(each), len(model.inputs)) * unit
                        for each, unit in ((limit, 1.0), (rate_limit, model.dt))])

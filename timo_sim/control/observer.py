@@ -102,8 +102,8 @@ class Observer(PointsOfArm):
         for name in self.sensors:
             replace(_NAME, name='sensors').check(name)
         if not self.sensors or not {*self.sensors} <= {*noisy}:
-            raise ParameterError('an observer needs sensors whose sensor.NAME.noise or .resolution '
-                                 f'is > 0, which are {short(noisy)} here, got {short(sensors)}')
+            raise ParameterError('an observer needs sensors whose sensor.NAME.noise or .resolution'
+                                 f' is > 0, which are {short(noisy)} here, got {short(sensors)}')
         given = _usual_disturbance(scene.values, model) if disturbance is None else disturbance
         check_arguments(given, 'disturbance')
         pairs = {name: _PAIR.check(pair) for name, pair in given.items()}
