@@ -54,7 +54,8 @@ def feedforward(model: LinearModel, goal: Mapping[str, float], duration: float |
     `limit` is the largest magnitude of the inputs, `rate_limit` that of their rates [1/s], shape
     () or (inputs,), as a model has none. The plan has the least squared changes of the inputs,
     with which a rigid arm moves with least jerk, or the least largest change if those would exceed
-    a limit. Raises ParameterError if the duration is too short, with the shortest, or none suffices.
+    a limit. Raises ParameterError if the duration is too short, with the shortest, or none is
+    long enough.
 
     Examples
     --------
