@@ -52,10 +52,9 @@ def feedforward(model: LinearModel, goal: Mapping[str, float], duration: float |
     The goal has values at the end by name of output, `{'shaft_rad': 0.8}`; other outputs are free.
     The duration [s] is a whole multiple of `model.dt`; None is the shortest that the limits allow.
     `limit` is the largest magnitude of the inputs, `rate_limit` that of their rates [1/s], shape
-    () or (inputs,), as a model has none. The plan has the least squared changes of the inputs,
-    with which a rigid arm moves with least jerk, or the least largest change if those would exceed
-    a limit. Raises ParameterError if the duration is too short, with the shortest, or none is
-    long enough.
+    () or (inputs,). The plan has the least squared changes of the inputs, with which a rigid arm
+    moves with least jerk, or the least largest change if those would exceed a limit. Raises
+    ParameterError if the duration is too short, with the shortest, or if none is long enough.
 
     Examples
     --------
