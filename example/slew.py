@@ -95,7 +95,10 @@ def main(text, scene, controllers, **goal):
     if chosen.loop:
         record = in_a_loop(scene, controller)
     else:
-        from lock_step import with_the_node  # needs ROS
+        try:
+            from lock_step import with_the_node
+        except ModuleNotFoundError as error:
+            parser.error(f'the node needs ROS 2 ({error}); --loop runs without it')
         record = with_the_node(controller)
     told = f'{chosen.controller}: {len(record)} states answered'
     if len(record) and record[-1, 0] > DURATION:

@@ -221,7 +221,10 @@ IMPLAUSIBLE = [
      'half of arm.length = 0.8 m from'),
     ({'end_effector.mass': 0.0}, 'end_effector.mass = 0 kg at more than half'),
     ({'arm.profile.position': [0.0, 2.0], 'arm.profile.young_modulus': [1e11, 1e9],
-      'arm.profile.shear_modulus': [5e10, 2e9]}, 'shear_modulus = 2e.09 Pa is above')
+      'arm.profile.shear_modulus': [5e10, 2e9]}, 'shear_modulus = 2e.09 Pa is above'),
+    ({'hub.radius': 40.0}, 'a length of 40 m is more than 30 m'),
+    ({'arm.section': {'shape': 'tube', 'width': 0.016, 'wall': 0.0015}},
+     r'width = 0.016 m is not used: the diameter is .*height = 0.02 m \(the default\)')
 ]
 
 

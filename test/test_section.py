@@ -10,6 +10,8 @@ import scipy.integrate
 import timo_sim
 from timo_sim.model.bodies import SHAPES
 
+pytestmark = pytest.mark.filterwarnings('ignore:is this meant')  # widths of round sections
+
 WIDTH, HEIGHT, WALL, WEB = 0.03, 0.04, 0.004, 0.006
 SIZES = {'rectangle': {}, 'round': {}, 'tube': {'wall': WALL}, 'box': {'wall': WALL},
          'i': {'wall': WALL, 'web': WEB}}

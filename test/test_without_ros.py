@@ -82,6 +82,11 @@ def test_the_node_says_what_is_missing(python):
     assert 'sim_node needs ROS 2' in told
 
 
+def test_an_example_says_how_it_runs_without_ros(python):
+    told = python(str(ROOT / 'example/pd.py'), code=2)
+    assert 'the node needs ROS 2' in told and '--loop runs without it' in told
+
+
 def test_teleop_says_what_is_missing(python):
     told = python('-m', 'timo_sim', 'teleop', code=1)
     assert told == "timo_sim: geometry_msgs is missing: pip install 'timo_sim[ros]'\n"

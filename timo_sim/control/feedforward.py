@@ -14,7 +14,7 @@ from scipy import sparse
 from scipy.optimize import linprog
 
 from timo_sim.runs.linear import LinearModel
-from timo_sim.scene.parameters import Parameter, ParameterError, whole_ratio
+from timo_sim.scene.parameters import Parameter, ParameterError, short, whole_ratio
 
 _GOAL = Parameter('goal', (), '', '')
 _DURATION = Parameter('duration', 1.0, 's', '', low=0.0, open_low=True)
@@ -34,9 +34,13 @@ class Plan:
     u: np.ndarray
     y: np.ndarray
 
+    def __repr__(self):
+        with np.printoptions(threshold=20, edgeitems=1):
+            return f'Plan(t={self.t}, x={self.x}, u={self.u}, y={self.y})'
+
     def at(self, t: float) -> 'Plan':
-        """Return the period nearest to a time [s], or the last one, without the first axis."""
-        place = min(round(t / self.t[1]), len(self.t) - 1)
+        """Return the period nearest to a time [s], of those there are, without the first axis."""
+        place = min(max(round(t / self.t[1]), 0), len(self.t) - 1)
         return Plan(self.t[place], self.x[place], self.u[place], self.y[place])
 
 
@@ -63,6 +67,9 @@ def feedforward(model: LinearModel, goal: Mapping[str, float], duration: float |
     """
     if model.dt is None:
         raise ParameterError('the model must be of discrete time: use model.to_discrete(dt)')
+    if not isinstance(goal, Mapping):
+        raise ParameterError("goal must have values by name of output, such as {'shaft_rad': 0.8},"
+                             f' got {short(goal)}')
     values = _GOAL.check([*goal.values()])
     limits = np.stack([np.broadcast_to(_LIMITS.check(each), len(model.inputs)) * unit
                        for each, unit in ((limit, 1.0), (rate_limit, model.dt))])

@@ -103,8 +103,9 @@ class Observer(PointsOfArm):
         for name in self.sensors:
             replace(_NAME, name='sensors').check(name)
         if not self.sensors or not {*self.sensors} <= {*noisy}:
-            raise ParameterError('an observer needs sensors whose noise or resolution is > 0, '
-                                 f'here {noisy or "none"}, got {short(sensors or "none")}')
+            raise ParameterError(
+                'an observer needs sensors whose sensor.NAME.noise or .resolution is > 0, here '
+                f'{", ".join(noisy) or "none"}, got {short(sensors or "none")}')
         given = _usual_disturbance(scene.values, model) if disturbance is None else disturbance
         check_arguments(given, 'disturbance')
         pairs = {name: _PAIR.check(pair) for name, pair in given.items()}

@@ -61,12 +61,12 @@ def shaper(plant: SceneLike | list[complex] | np.ndarray, kind: str = 'ZVD', mod
     Return the Shaper that does not excite the slowest vibrations of a scene, or poles (T53).
 
     The plant is a scene that forces and torques move, with the number of its `modes`; or poles
-    [1/s] with positive imaginary parts, complex, (n,): those of a closed loop, or for a shaft that
-    follows its angle exactly `timo_sim.modes(scene, 0.0).poles`. ZV (zero vibration) makes a
-    command longer by half a period of each mode. ZVD (zero vibration and derivative) and EI (extra
-    insensitive), which leaves the tolerance (T54) at the mode, take a period and tolerate errors
-    of the frequency, EI larger ones. Raises ParameterError if a pole does not vibrate, or grows,
-    or is damped too much for the tolerance.
+    [1/s] with positive imaginary parts, complex, (n,), all of which count: those of a closed loop,
+    or `timo_sim.modes(scene, 0.0).poles[:1]` for a shaft that follows its angle exactly. ZV (zero
+    vibration) makes a command longer by half a period of each mode. ZVD (zero vibration and
+    derivative) and EI (extra insensitive), which leaves the tolerance (T54) at the mode, take a
+    period and tolerate errors of the frequency, EI larger ones. Raises ParameterError if a pole
+    does not vibrate, or grows, or is damped too much for the tolerance.
 
     Examples
     --------

@@ -41,7 +41,7 @@ from timo_sim.runs.run import run_scene
 from timo_sim.runs.simulate import measure_error, resolve
 from timo_sim.scene.files import flatten, read_yaml, whole_file
 from timo_sim.scene.parameters import (
-    check, Parameter, ParameterError, PARAMETERS, SCENE, short, steps_in, today)
+    check, Parameter, ParameterError, PARAMETERS, SCENE, short, steps_in, today, warn)
 from timo_sim.scene.scene import load_scene, Scene, SceneLike
 from timo_sim.simulation.batch import Batch, lane_size, refusal
 from timo_sim.simulation.warnings import unseen_load
@@ -108,7 +108,7 @@ def simulate_many(scene: SceneLike, variations: Iterable[Mapping[str, Any]], dur
         Columns by name, one row for each run: `run`, its number from 0; each varied parameter (NaN
         or None for a value that breaks its rule); the numbers of `timo_sim.runs.sweep.SUMMARY`
         (NaN for a run that failed), such as `peak_deflection`; `warning`, as `Run.warning`, or '';
-        `reason`, why the run failed, or ''.
+        `reason`, why the run failed, or ''. If runs failed, a ModelWarning says so.
 
     Raises
     ------
@@ -143,7 +143,11 @@ def simulate_many(scene: SceneLike, variations: Iterable[Mapping[str, Any]], dur
     jobs = jobs_of(load_scene(scene), duration, len(variations), variations, names)
     with executor_of(workers, scheduler) as (executor, width):
         tables = [table for _, table in run_jobs(executor, width, jobs)]
-    return {name: np.concatenate([table[name] for table in tables]) for name in tables[0]}
+    table = {name: np.concatenate([table[name] for table in tables]) for name in tables[0]}
+    failed = table['reason'][table['reason'] != '']
+    if len(failed):
+        warn(f'{len(failed)} of {len(variations)} runs failed, the first because: {failed[0]}')
+    return table
 
 
 def run_jobs(executor: Executor, width: int,

@@ -77,7 +77,7 @@ class Parameter:
             bounds.append(f'<= {self.high:g}')
         unit = f' {self.unit}' if bounds and self.unit else ''
         none = '' if self.finite else ', .inf for no limit'
-        return ' '.join([kind, ' and '.join(bounds)]).strip() + unit + none
+        return ' '.join([kind, ' and '.join(bounds)]).strip(' ,') + unit + none
 
     def check(self, value: Any) -> Any:
         """

@@ -632,10 +632,14 @@ def find_implausible(values: Mapping[str, Any]) -> str | None:
     found += [f'arm.shear_modulus = {stiff:g} Pa is above arm.young_modulus = {soft:g} Pa'
               for stiff, soft in zip(shear * (count // len(shear)), young * (count // len(young)))
               if stiff > soft][:1]
-    longest = max(values['arm.length'], *each('width'), height)
+    longest = max(values['arm.length'], values['hub.radius'], *each('width'), height)
     if longest > _MAX_LENGTH:
         found.append(f'a length of {longest:g} m is more than {_MAX_LENGTH:g} m: lengths are in '
                      'metres, not in millimetres')
+    if values['arm.section.shape'] in ('round', 'tube') and values['arm.section.width'] != (
+            PARAMETERS['arm.section.width'].default):
+        found.append(f'{with_value("arm.section.width", "m")} is not used: the diameter is '
+                     f'{with_value("arm.section.height", "m")}')
     mass, inertia = values['end_effector.mass'], values['end_effector.inertia']
     if inertia > mass * (0.5 * values['arm.length'])**2 and (mass or inertia == PARAMETERS[
             'end_effector.inertia'].default):
