@@ -122,7 +122,7 @@ def test_all_is_compiled_before_it_says_that_it_observes():
 
 
 @pytest.mark.parametrize('parameters, text', [
-    ({}, 'an observer needs sensors whose noise or resolution is > 0, here none'),
+    ({}, 'an observer needs sensors whose sensor.NAME.noise or .resolution is > 0, here none'),
     ({**ARM, 'disturbance': '[0.02]'}, 'disturbance must be [N m, s], got [0.02]'),
     ({**ARM, 'disturbance': '[-1.0, 0.1]'}, 'disturbance must be a list of finite numbers >= 0'),
     ({**ARM, 'sensor.encoder.delay': 0.01}, 'sensor.encoder.delay must be 0 s for the node'),
