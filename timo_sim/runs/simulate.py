@@ -48,13 +48,19 @@ def measure_error(run: Run, find_remedy: bool = True) -> Run:
     fine = next((each for each in finer if each is not None), None)
     if fine is None:
         return replace(run, warning=run.warning or NO_FINER_RUN)
-    error = _distance(seen, fine)
+    error, limit = _distance(seen, fine), MOST_APART * scene.manipulator.arm.length
+    while error > limit and (shorter := next(finer, None)):
+        # If shorter steps of the finer run mend most of the distance, it was not that of the run.
+        distance = _distance(seen, shorter)
+        if distance > 0.5 * error:
+            break
+        fine, error = shorter, distance
     # The finer run has seen a load that is too fast for the steps of the run. What `newton` leaves
     # out may make a motion unstable that both runs do not leave.
     earlier = (unseen_load(fine.scene) if scene.values['model.formulation'] == 'exact'
                else run.warning)
-    large = find_remedy and error > MOST_APART * scene.manipulator.arm.length
-    remedy = _remedy(seen, round(scene.step / fine.scene.step), error) if large else None
+    remedy = (_remedy(seen, round(scene.step / fine.scene.step), error)
+              if find_remedy and error > limit else None)
     return replace(run, stats={**run.stats, 'estimated_tip_error_m': error},
                    warning=earlier or inaccurate(scene, error, remedy))
 
