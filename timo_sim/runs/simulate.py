@@ -33,7 +33,7 @@ def measure_error(run: Run, find_remedy: bool = True) -> Run:
     """
     Return a run of `run_scene` with its measured error, and the warning that this calls for.
 
-    If a finer run diverges, one with shorter steps is tried. `estimated_tip_error_m` is in its
+    If a finer run diverges or is far off, ones with shorter steps are tried. `estimated_tip_error_m` is in its
     `stats` unless the scene has no finer run or all diverge. With `find_remedy` the warning of a
     large error names what moves the tip most, by up to three more runs, otherwise all remedies.
     """
