@@ -205,6 +205,6 @@ def check_slope(scene: Any) -> None:
                              f'{0.98 * (_CONTACT / contact / scene.step)**2:.3g} times as large')
     if rate * scene.step > _STABLE:
         raise ParameterError(f'integrator.step = {scene.step:g} s must be at most '
-                             f'{0.99 * _STABLE / rate:.3g} s for Coulomb friction with this slope: '
-                             'take that, or a coulomb_speed '
+                             f'{0.99 * _STABLE / rate:.3g} s for Coulomb friction with this slope:'
+                             ' take that, or a coulomb_speed '
                              f'{1.01 * rate * scene.step / _STABLE:.3g} times as large')
