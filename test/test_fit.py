@@ -3,6 +3,7 @@
 
 """Fits of scenes to records: truth recovered, inputs, sensors, doubts."""
 
+import re
 import warnings
 
 import numpy as np
@@ -263,6 +264,30 @@ def test_a_bound_that_is_met_is_told():
                              {'motor.viscous_friction': (0.015, 0.1)})
     assert found.estimates['motor.viscous_friction'].bound == 'low'
     assert found.values['motor.viscous_friction'] == pytest.approx(0.015, rel=1e-6)
+
+
+def test_values_that_a_scene_cannot_have_are_told():
+    """The friction of the record is three times as large as the steps of the fit allow."""
+    scene = {**ARM, **MOTOR, 'motor.coulomb_speed': 0.01}
+    record = noisy(predicted({**scene, 'motor.coulomb_friction': 0.05, 'integrator.step': 0.0002},
+                             {'voltage': (T[:501], VOLTAGE[:501])}, ['shaft'], t=T[:501]),
+                   {'shaft': 1e-4})
+    with pytest.raises(timo_sim.ParameterError, match='slope') as caught:
+        timo_sim.load_scene({**scene, 'motor.coulomb_friction': 0.05, 'integrator.step': 0.01})
+    step = float(re.search('at most (.*) s for', str(caught.value))[1])
+    guess = {**scene, 'motor.coulomb_friction': 0.005, 'integrator.step': 3.0 * step}
+    with pytest.warns(timo_sim.ModelWarning, match='ended where values are refused.*slope'):
+        timo_sim.fit(guess, record, ['motor.coulomb_friction'], starts=1)
+
+
+def test_estimates_far_from_their_guess_are_told():
+    """As with a voltage in steps of a pulse width, 255 for 12 V."""
+    scene, free = {**ARM, **MOTOR}, ['motor.viscous_friction']
+    record = noisy(predicted(scene, {'voltage': (T, VOLTAGE)}, ['shaft']), {'shaft': 1e-3})
+    unscaled = timo_sim.Record.of({'voltage': (T, 255.0 / 12.0 * VOLTAGE)}, record.outputs)
+    assert not any('scale' in text for text in timo_sim.fit(scene, record, free).warnings)
+    with pytest.warns(timo_sim.ModelWarning, match='motor.viscous_friction: more.*unit and scale'):
+        timo_sim.fit(scene, unscaled, free)
 
 
 def test_coarse_steps_are_told():

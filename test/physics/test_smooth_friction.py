@@ -165,13 +165,14 @@ def test_longer_steps_than_are_refused_are_unstable():
         assert (speed > 1e-6) == grows
 
 
-def test_steps_that_are_unstable_are_refused():
-    """The text has a step and a speed, each of which is just possible."""
-    steep = {'motor.coulomb_friction': 1.0, 'motor.coulomb_speed': 1e-4}
+@pytest.mark.parametrize('friction', [1.0, 1.03, 1.07, 1.1])
+def test_steps_that_are_unstable_are_refused(friction):
+    """The text has a step and a speed, each of which is possible as it stands there."""
+    steep = {'motor.coulomb_friction': friction, 'motor.coulomb_speed': 1e-4}
     with pytest.raises(timo_sim.ParameterError, match='integrator.step = 0.001 s must be at most '
                        '.* s for Coulomb friction with this slope: take that, or') as caught:
         timo_sim.load_scene(steep)
     step, factor = re.search('most (.*) s for .* coulomb_speed (.*) times', str(caught.value)
                              ).groups()
-    timo_sim.load_scene({**steep, 'integrator.step': 0.95 * float(step)})
-    timo_sim.load_scene({**steep, 'motor.coulomb_speed': 1.05e-4 * float(factor)})
+    timo_sim.load_scene({**steep, 'integrator.step': float(step)})
+    timo_sim.load_scene({**steep, 'motor.coulomb_speed': 1e-4 * float(factor)})

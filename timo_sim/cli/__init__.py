@@ -492,6 +492,9 @@ def fit(record: str, more: tuple[str, ...], scene: str | None, free: tuple[str, 
     click.echo(found.report())
     if output:
         click.echo(f'{found.save(output)} is written')
+    if png:
+        write(found.plot(), png)
+        click.echo(f'{png} is drawn')
     if further:
         best, *others = found.next_input()
         click.echo(f'the interval of {best.widest} is the widest; what is left of it with another '
@@ -499,9 +502,6 @@ def fit(record: str, more: tuple[str, ...], scene: str | None, free: tuple[str, 
                        f'{each.kind} {each.ratios[each.widest]:.0%}' for each in (best, *others)))
         write_table({'time_s': best.t, best.quantity: best.values}, Path(further))
         click.echo(f'{further} is written: {best.kind}')
-    if png:
-        write(found.plot(), png)
-        click.echo(f'{png} is drawn')
 
 
 @main.command()

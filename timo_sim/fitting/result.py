@@ -7,6 +7,7 @@ from __future__ import annotations
 
 from collections.abc import Mapping, Sequence
 from dataclasses import dataclass, field
+from itertools import product
 import math
 from pathlib import Path
 import time
@@ -394,7 +395,7 @@ def fit(scene: SceneLike | None, record: RecordLike | Sequence[RecordLike], free
         cause = ', as with dry friction' if start.friction.any() else ''
         doubts.append(f'the run depends on {", ".join(jumps)} in jumps{cause}, so the intervals '
                       'may be too small: try a shorter window, or friction with a coulomb_speed')
-    doubts += _find_doubts(estimates)
+    doubts += _find_doubts(estimates, problems[0], search.values(x, 0))
     series: dict[tuple[int, str], list[np.ndarray]] = {}
     for (k, name, _), r in zip(search.series(), residuals):
         series.setdefault((k, name), []).append(search.deviations[k][name] * r)
@@ -475,6 +476,7 @@ def _read(scene, record, mapping):
 _AT_BOUND = 1e-3  # distance from a bound, in coordinates of the fit, that counts as none
 _MIN_SAMPLES = 10  # samples of a part whose errors are worth a number
 _MAX_NOISE_RATIO = 2.0  # ratio of a residual to the known noise, above which there is a warning
+_FAR = 10.0  # ratio of an estimate to its first guess, above which there is a warning
 _MAX_NUMERICAL = 0.2  # part of a residual that may be numerical error
 
 
@@ -524,11 +526,23 @@ def _predict(problem, values, initial, residuals):
     return found, doubts
 
 
-def _find_doubts(estimates):
+def _find_doubts(estimates, problem, values):
     at_bound = [name for name, each in estimates.items() if each.bound]
     if at_bound:
         yield f'at a bound, so that intervals do not hold: {", ".join(at_bound)}'
+    far = [name for name, each in estimates.items() if each.low > 0.0 and each.start > 0.0
+           and not 1.0 / _FAR < each.value / each.start < _FAR]
+    if far:
+        yield (f'{", ".join(far)}: more than {_FAR:g} times off the first guess: look at unit and '
+               'scale of the columns')
     lost = [name for name, each in estimates.items() if not each.identified]
     if lost:
         yield (f'{", ".join(lost)} cannot be identified from this record: fix some of them, or '
                'record more outputs or another motion')
+    for name, part in product(values, (0.99, 1.01)):
+        try:
+            problem.scene_of({**values, name: part * values[name]})
+        except ParameterError as error:
+            yield ('the search ended where values are refused, so that intervals do not hold: '
+                   f'{error}')
+            return

@@ -200,11 +200,11 @@ def check_slope(scene: Any) -> None:
                 mobility[2, 2] + mobility[3, 3] - 2.0 * mobility[2, 3])))
     if contact * scene.step > _CONTACT:
         raise ParameterError(f'integrator.step = {scene.step:g} s must be at most '
-                             f'{_CONTACT / contact:.2g} s for backlash of a gear with this '
+                             f'{0.99 * _CONTACT / contact:.3g} s for backlash of a gear with this '
                              'stiffness: take that, or a motor.gear.stiffness '
-                             f'{(_CONTACT / contact / scene.step)**2:.2g} times as large')
+                             f'{0.98 * (_CONTACT / contact / scene.step)**2:.3g} times as large')
     if rate * scene.step > _STABLE:
         raise ParameterError(f'integrator.step = {scene.step:g} s must be at most '
-                             f'{_STABLE / rate:.2g} s for Coulomb friction with this slope: take '
-                             f'that, or a coulomb_speed {rate * scene.step / _STABLE:.2g} times '
-                             'as large')
+                             f'{0.99 * _STABLE / rate:.3g} s for Coulomb friction with this slope:'
+                             ' take that, or a coulomb_speed '
+                             f'{1.01 * rate * scene.step / _STABLE:.3g} times as large')
