@@ -392,9 +392,10 @@ def fit(scene: SceneLike | None, record: RecordLike | Sequence[RecordLike], free
             each.start, each.unit, identified, bound, k in profiles)
     doubts, predictions = [], []
     if jumps:
-        cause = ', as with dry friction' if start.friction.any() else ''
+        cause, remedy = (', as with dry friction', ', or friction with a coulomb_speed'
+                         ) if start.friction.any() else ('', '')
         doubts.append(f'the run depends on {", ".join(jumps)} in jumps{cause}, so the intervals '
-                      'may be too small: try a shorter window, or friction with a coulomb_speed')
+                      f'may be too small: try a shorter window{remedy}')
     doubts += _find_doubts(estimates, problems[0], search.values(x, 0))
     series: dict[tuple[int, str], list[np.ndarray]] = {}
     for (k, name, _), r in zip(search.series(), residuals):
@@ -535,6 +536,9 @@ def _find_doubts(estimates, problem, values):
     if far:
         yield (f'{", ".join(far)}: more than {_FAR:g} times off the first guess: look at unit and '
                'scale of the columns')
+    if all(math.isclose(values.get(name, math.nan), each.start, rel_tol=1e-12)
+           for name, each in estimates.items()):
+        yield 'the search did not leave the first guesses: try others, or more starts'
     lost = [name for name, each in estimates.items() if not each.identified]
     if lost:
         yield (f'{", ".join(lost)} cannot be identified from this record: fix some of them, or '

@@ -33,9 +33,10 @@ def measure_error(run: Run, find_remedy: bool = True) -> Run:
     """
     Return a run of `run_scene` with its measured error, and the warning that this calls for.
 
-    If a finer run diverges or is far off, ones with shorter steps are tried. `estimated_tip_error_m` is in its
-    `stats` unless the scene has no finer run or all diverge. With `find_remedy` the warning of a
-    large error names what moves the tip most, by up to three more runs, otherwise all remedies.
+    If a finer run diverges or is far off, others with shorter steps are tried.
+    `estimated_tip_error_m` is in its `stats` unless the scene has no finer run or all diverge.
+    With `find_remedy` the warning of a large error names what moves the tip most, by up to three
+    more runs, otherwise all remedies.
     """
     scene = run.scene
     if not can_refine(scene) or len(run.t) < 2:
