@@ -291,8 +291,8 @@ def test_estimates_far_from_their_guess_are_told():
 
 
 def test_a_search_that_does_not_move_is_told():
-    """A shaft that sticks shows nothing of the voltage."""
-    scene = {**ARM, **MOTOR, 'motor.coulomb_friction': 100.0}
+    """A locked shaft shows nothing of the voltage."""
+    scene = {**ARM, **MOTOR, 'motor.shaft': 'locked'}
     record = noisy(predicted(scene, {'voltage': (T, VOLTAGE)}, ['shaft']), {'shaft': 1e-3})
     with pytest.warns(timo_sim.ModelWarning, match='did not leave the first guesses'):
         timo_sim.fit(scene, record, ['motor.dc.torque_constant'], starts=1)
