@@ -22,7 +22,7 @@ import numpy as np
 import pandas
 from scipy.linalg import expm
 from scipy.optimize import least_squares
-from scipy.signal import lfilter
+from scipy.signal import lfilter, savgol_filter
 
 from benchmark import ROOT
 from benchmark.report import make_page, table
@@ -49,11 +49,6 @@ DRIVES = {  # what is free for each kind of input
 GEAR = ['motor.gear.stiffness', 'motor.gear.damping', 'motor.gear.backlash']
 ROTOR = ['motor.rotor.inertia', 'motor.rotor.viscous_friction', 'motor.rotor.coulomb_friction',
          'motor.rotor.coulomb_speed', 'motor.rotor.coulomb_asymmetry']
-SERVO = {  # a servo that stands still: friction holds its rotor, and resists the turning shaft
-    'motor.shaft': 'free', 'motor.shaft_inertia': 1e-4, 'motor.gear.stiffness': 10.0,
-    'motor.gear.damping': 0.001, 'motor.gear.backlash': 0.001, 'motor.rotor.inertia': 1e-3,
-    'motor.rotor.coulomb_friction': 1.0, 'motor.coulomb_friction': 0.001,
-    'motor.coulomb_speed': 0.01, 'integrator.step': 0.001}
 INITIAL = 'initial.modal_coordinates[0]', 'initial.modal_rates[0]'
 
 
@@ -67,7 +62,7 @@ class Case(NamedTuple):
     scene: str
     more: tuple = ()        # free besides those of the rule
     fixed: tuple = ()       # of the rule, but not free
-    gear: float = 0.0       # ratio, if there is one
+    gear: float = 0.0       # ratio of that through which it is driven
     other: tuple = ()       # record and columns that are held out in place of the second half
     step: float = 0.02      # of the black box [s]
 
@@ -94,37 +89,39 @@ CASES = [
          'bratislava_columns.yaml', 'bratislava.yaml',
          more=INITIAL,
          fixed=('tip_acceleration.gain', 'tip_acceleration.delay', 'tip_acceleration.lag'),
-         gear=1.0, step=0.006),
+         step=0.006),
 ]
 
 
-def models_of(case, scene, record):
-    """Return the models of a case by name: values of its scene that change, and what is free."""
+def models_of(case, scene, record, until):
+    """
+    Return the models of a case by name: values of its scene that change, and what is free.
+
+    The record is fitted until then [s].
+    """
     drive, tip = next(iter(record.inputs), ''), list(record.outputs)[-1]
     sensor = [f'{tip}.{kind}' for kind in ('gain', 'bias', 'delay', 'lag')]
 
     def free(driven):
         # What is a record's own is not known of another; one direction shows no asymmetry.
         hidden = ('.bias', '.delay') if case.other else ()
-        hidden += () if goes_back(case, record) else ('asymmetry',)
+        hidden += () if goes_back(record, until) else ('asymmetry',)
         return [name for name in (*ARM, *driven, *sensor, *case.more)
                 if name not in case.fixed and not name.endswith(hidden)]
 
     models = {'rigid gear': ({}, free(DRIVES.get(drive, [])))}
-    if case.gear and drive:
+    if case.gear:
         models['elastic gear'] = (with_rotor(scene, case.gear), free(
             [*ROTOR, *GEAR, *(name for name in DRIVES[drive] if name not in SHAFT)]))
-    elif case.gear:
-        models['elastic gear'] = SERVO, free([*GEAR, *SHAFT[2:4]])
     return models
 
 
-def goes_back(case, record):
-    """Return whether the fitted part of a record has motion in both directions."""
+def goes_back(record, until):
+    """Return whether the shaft moves in both directions until then [s]."""
     if 'shaft' not in record.outputs:
         return False
-    values = record.outputs['shaft'].values
-    values = values[:len(values) if case.other else int((1.0 - HOLD_OUT) * len(values))]
+    t, values, *_ = record.outputs['shaft']
+    values = values[t <= until]
     rise = np.max(values - np.minimum.accumulate(values))
     fall = np.max(np.maximum.accumulate(values) - values)
     return bool(min(rise, fall) > 0.5 * np.ptp(values))
@@ -162,21 +159,21 @@ def bounds_of(names, scene):
 
 def fitted(case):
     """Return the Fit of a case, its model's name, and by model R^2 of what chose it."""
-    record, scene = read(case.record, case.columns), timo_sim.load_scene(FILES / case.scene)
-    models, trials = models_of(case, scene, record), {}
+    (record, _, until), *_ = parts_of(case)
+    scene, trials = timo_sim.load_scene(FILES / case.scene), {}
 
     def fit(name, part, hold_out, others=()):
-        values, free = models[name]
+        values, free = models_of(case, scene, part, (1.0 - hold_out) * part.duration)[name]
         start = scene.vary(values)
         return timo_sim.fit(start, part, free, bounds_of(free, start), hold_out,
                             hold_out_records=others)
 
     with warnings.catch_warnings():
         warnings.simplefilter('ignore', timo_sim.ModelWarning)
+        models = [*models_of(case, scene, record, until)]
         if len(models) > 1:
-            known = record if case.other else record.cut(0.0, HOLD_OUT * record.duration)
             for name in models:
-                found = fit(name, known, HOLD_OUT)
+                found = fit(name, record.cut(0.0, until), HOLD_OUT)
                 trials[name] = {  # a record that rests there has no spread of its own
                     output: 1.0 - (each.hold_out_rms / SPREAD / record.outputs[output].noise)**2
                     for output, each in found.errors.items()}
@@ -352,6 +349,16 @@ def summary(quick):
                   'at least'], rows)
 
 
+def friction(record):
+    """Return the largest torque at rest, and dry friction in motion by its balance [N m]."""
+    shaft, torque = record.outputs['shaft'], record.inputs['torque']
+    speed, rate = (savgol_filter(shaft.values, 51, 3, order, record.period) for order in (1, 2))
+    held = savgol_filter(np.interp(shaft.t, torque.t, torque.values), 51, 3)
+    rests, moves = np.abs(speed) < 0.005, np.abs(speed) > 0.5
+    terms = np.column_stack([rate, speed, np.sign(speed), np.ones(len(speed))])
+    return np.abs(held[rests]).max(), np.linalg.lstsq(terms[moves], held[moves], rcond=None)[0][2]
+
+
 def missing(quick):
     """Return which model was chosen, and what records show of effects that are missing."""
     cases, rows = {case.name: case for case in CASES}, []
@@ -364,17 +371,40 @@ def missing(quick):
     up = np.flatnonzero((values[:-1] < 0.0) & (values[1:] >= 0.0))
     up = t[up] - values[up] * (t[up + 1] - t[up]) / (values[up + 1] - values[up])
     first, last = (1.0 / np.diff(part).mean() for part in np.array_split(up, 4)[::3])
-    laser = read(*cases['delft'].other).outputs['tip_x']
-    jumps = laser.t[1:][np.abs(np.diff(laser.values)) > 4e-3]
-    stalls = np.abs(np.diff(laser.values)) > 4e-3
-    force = np.diff(read(*cases['delft'].other).inputs['force_x'].values)
-    rise = np.abs(force)[1:-1][stalls[1:-1]].max() / np.abs(force).max()
+    swept = read(*cases['delft'].other)
+    steps = {name: np.abs(np.diff(channel.values))
+             for name, channel in {**swept.inputs, **swept.outputs}.items()}
+    jumps = np.flatnonzero(steps['tip_x'] > 4e-3)
+    ratio = {name: np.median(2.0 * step[jumps] / (step[jumps - 1] + step[jumps + 1]))
+             for name, step in steps.items()}
+    rest, motion = friction(read(cases['prague'].record, cases['prague'].columns))
     return '\n\n'.join([
         table(['choice of the model', 'R^2 of', 'rigid gear', 'elastic gear'], rows),
+        f'Prague: the shaft rests under torques of up to {rest:.1f} N m; dry friction in motion, '
+        f'faster than 0.5 rad/s, takes {motion:.1f} N m. '
         f'Delft: the laser jumps by more than 4 mm in 1 ms {len(jumps)} times, mostly '
-        f'{np.median(np.diff(jumps)):.3f} s apart; its voltage changes there by {rise:.2f} of its '
-        f'fastest change or less. Bratislava: the strip rings at {first:.2f} Hz in the first '
-        f'quarter and at {last:.2f} Hz in the last.'])
+        f'{1e-3 * np.median(np.diff(jumps)):.3f} s apart. In that millisecond the cart moves '
+        f'{ratio["carrier_x"]:.1f} times as far as in those before and after (median), and the '
+        f'voltage {ratio["force_x"]:.1f} times. Bratislava: the strip rings at {first:.2f} Hz in '
+        f'the first quarter and at {last:.2f} Hz in the last.'])
+
+
+def command_of(case, parts, chosen):
+    """Return the command line of a fit with the chosen model."""
+    (record, _, until), *_ = parts
+    scene = timo_sim.load_scene(FILES / case.scene)
+    values, names = models_of(case, scene, record, until)[chosen]
+    bounds = ' '.join(f'{name}={low:.3g}:{high:.3g}' for name, (low, high) in bounds_of(
+        names, scene.vary(values)).items()).replace(' ', ' --bounds ')
+    changes = ' '.join(['--set', *(f'{name}={value:.6g}' for name, value in values.items())])
+    held = f"--hold-out-record '{case.other[0]}'" if case.other else f'--hold-out {HOLD_OUT:g}'
+    columns = ' '.join(f'example/real_arm/{each}'
+                       for each in dict.fromkeys([case.columns, *case.other[1:]]))
+    return ' \\\n    '.join([
+        f"timo_sim fit '{case.record}' {held}",
+        f'--scene example/real_arm/{case.scene} --mapping {columns}',
+        *wrap(f'--bounds {bounds}', 112), *(wrap(changes, 112) if values else []),
+        *wrap(f'--free {" ".join(names)} -o fitted.yaml --png fit.png', 112)])
 
 
 def section(case):
@@ -393,24 +423,10 @@ def section(case):
     held.plot().savefig(ROOT / 'doc' / 'real_arm' / f'{case.name}.png', dpi=70)
     rows = [[model, name, *map(in_words, score)] for model, scored in by_model.items() if scored
             for name, score in scored.items()]
-    scene = timo_sim.load_scene(FILES / case.scene)
-    values, names = models_of(case, scene, parts[0][0])[chosen]
-    bounds = ' '.join(f'--bounds {name}={low:g}:{high:g}' for name, (low, high) in bounds_of(
-        names, scene.vary(values)).items())
-    changes = ' '.join(f'{name}={value:.6g}' if isinstance(value, float) else f'{name}={value}'
-                       for name, value in values.items())
-    other, columns = case.other or ('', '')
-    command = ' \\\n    '.join([
-        f"timo_sim fit '{case.record}'",
-        f'--scene example/real_arm/{case.scene} --mapping example/real_arm/{case.columns}'
-        + (f' example/real_arm/{columns}' if other else ''),
-        f"--hold-out-record '{other}'" if other else f'--hold-out {HOLD_OUT:g}',
-        *wrap(bounds, 94), *(wrap(f'--set {changes}', 94) if changes else []),
-        '-o fitted.yaml --png fit.png', *wrap(f'--free {" ".join(names)}', 94)])
     return '\n\n'.join([
         f'![Measured and predicted](real_arm/{case.name}.png)',
         table(['model', 'R^2 of', 'fitted', 'held out'], rows),
-        f'The fit, with the {chosen}:' if trials else 'The fit:', f'```\n{command}\n```',
+        f'The fit, with the {chosen}:' if trials else 'The fit:', f'```\n{command_of(case, parts, chosen)}\n```',
         f'```text\n{found.report().replace(str(DATA) + "/", "")}\n```'])
 
 
