@@ -168,18 +168,16 @@ def fitted(case):
         return timo_sim.fit(start, part, free, bounds_of(free, start), hold_out,
                             hold_out_records=others)
 
-    with warnings.catch_warnings():
-        warnings.simplefilter('ignore', timo_sim.ModelWarning)
-        models = [*models_of(case, scene, record, until)]
-        if len(models) > 1:
-            for name in models:
-                found = fit(name, record.cut(0.0, until), HOLD_OUT)
-                trials[name] = {  # a record that rests there has no spread of its own
-                    output: 1.0 - (each.hold_out_rms / SPREAD / record.outputs[output].noise)**2
-                    for output, each in found.errors.items()}
-        chosen = max(models, key=lambda name: sum(trials.get(name, {}).values()))
-        others = [read(*case.other)] if case.other else []
-        return fit(chosen, record, 0.0 if others else HOLD_OUT, others), chosen, trials
+    models = [*models_of(case, scene, record, until)]
+    if len(models) > 1:
+        for name in models:
+            found = fit(name, record.cut(0.0, until), HOLD_OUT)
+            trials[name] = {  # a record that rests there has no spread of its own
+                output: 1.0 - (each.hold_out_rms / SPREAD / record.outputs[output].noise)**2
+                for output, each in found.errors.items()}
+    chosen = max(models, key=lambda name: sum(trials.get(name, {}).values()))
+    others = [read(*case.other)] if case.other else []
+    return fit(chosen, record, 0.0 if others else HOLD_OUT, others), chosen, trials
 
 
 def parts_of(case):
@@ -421,12 +419,14 @@ def section(case):
     SCORES.write_text(json.dumps({**old, case.name: [*by_model.values(), trials]}, indent=1)
                       + '\n', encoding='utf-8')
     held.plot().savefig(ROOT / 'doc' / 'real_arm' / f'{case.name}.png', dpi=70)
-    rows = [[model, name, *map(in_words, score)] for model, scored in by_model.items() if scored
-            for name, score in scored.items()]
+    rows = [[model, *(in_words(each) for score in scored.values() for each in score)]
+            for model, scored in by_model.items() if scored]
     return '\n\n'.join([
         f'![Measured and predicted](real_arm/{case.name}.png)',
-        table(['model', 'R^2 of', 'fitted', 'held out'], rows),
-        f'The fit, with the {chosen}:' if trials else 'The fit:', f'```\n{command_of(case, parts, chosen)}\n```',
+        table(['R^2', *(f'{name}, {part}' for name in own for part in ('fitted', 'held out'))],
+              rows),
+        f'The fit, with the {chosen}:' if trials else 'The fit:',
+        f'```\n{command_of(case, parts, chosen)}\n```',
         f'```text\n{found.report().replace(str(DATA) + "/", "")}\n```'])
 
 
@@ -434,4 +434,5 @@ PARTS = {**{case.name: lambda quick, case=case: section(case) for case in CASES}
          'missing': missing, 'summary': summary}
 
 if __name__ == '__main__':
+    warnings.simplefilter('ignore', timo_sim.ModelWarning)  # the reports have them
     make_page(__spec__, __doc__, 'real_arm.md', PARTS)
