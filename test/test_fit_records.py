@@ -110,6 +110,7 @@ def test_records_share_the_physics_and_have_states_and_biases_of_their_own():
         pytest.approx([NOISE['tip_transverse'], 3.0 * NOISE['tip_transverse'], np.nan], rel=0.1,
                       nan_ok=True))
     assert found.more[1].until == 0.0
+    assert not any('nan' in axes.get_title('left') for axes in found.more[1].plot().axes)
     assert found.more[1].errors['tip_transverse'].hold_out_r_squared > 0.99
     assert found.more[1].errors['shaft'].hold_out_r_squared > 0.999
 

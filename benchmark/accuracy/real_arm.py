@@ -5,11 +5,10 @@
 Fit real arms and predict what was held out: `make real-arm DATA=folder` fills doc/real_arm.md.
 
 The records are of others and not part of this repository; the page lists what to clone into the
-folder DATA. Its protocol is what `free_of`, `bounds_of`, `STARTS` and `HOLD_OUT` say. Beside each
-fit stand those of the textbook's lumped model and of a black box, to the same part of the record.
+folder DATA. Its protocol is what `models_of`, `bounds_of` and `HOLD_OUT` say. Beside each fit
+stand those of the textbook's lumped model and of a black box, to the same part of the record.
 """
 
-from dataclasses import replace
 import json
 import os
 from pathlib import Path
@@ -27,25 +26,28 @@ from scipy.signal import lfilter, savgol_filter
 from benchmark import ROOT
 from benchmark.report import make_page, table
 import timo_sim
-from timo_sim.fitting.problem import Problem, r_squared
+from timo_sim.fitting.problem import r_squared
 
 FILES = ROOT / 'example' / 'real_arm'
 DATA = Path(os.environ.get('DATA', 'data'))
 HOLD_OUT = 0.5
-STARTS = 0.5, 1.0, 2.0  # first guesses of the stiffness, in that of the scene
 GOALS = 0.95, 0.98
+SPREAD = 20.0  # of an output, in `noise` of its mapping
 DELAYS = -0.002, 0.2  # bounds of delays [s]: what is late is not early
 FACTOR = 10.0  # to which a first guess is right
 SCORES = ROOT / 'doc' / 'real_arm' / 'scores.json'
 
 ARM = ['arm.young_modulus', 'arm.damping_ratio']
 SHAFT = ['motor.shaft_inertia', 'motor.viscous_friction', 'motor.coulomb_friction',
-         'motor.coulomb_speed', 'initial.shaft']
+         'motor.coulomb_speed', 'motor.coulomb_asymmetry']
 DRIVES = {  # what is free for each kind of input
-    'voltage': [*SHAFT, 'motor.dc.torque_constant', 'voltage.bias', 'voltage.delay'],
-    'torque': [*SHAFT, 'torque.gain', 'torque.bias', 'torque.delay'],
+    'voltage': [*SHAFT, 'motor.dc.torque_constant', 'initial.shaft', 'voltage.delay'],
+    'torque': [*SHAFT, 'torque.gain', 'initial.shaft', 'torque.delay'],
     'force_x': ['carrier.viscous_friction', 'carrier.coulomb_friction', 'carrier.coulomb_speed',
-                'initial.carrier_x', 'force_x.gain', 'force_x.bias', 'force_x.delay']}
+                'force_x.gain', 'gravity[0]']}
+GEAR = ['motor.gear.stiffness', 'motor.gear.damping', 'motor.gear.backlash']
+ROTOR = ['motor.rotor.inertia', 'motor.rotor.viscous_friction', 'motor.rotor.coulomb_friction',
+         'motor.rotor.coulomb_speed', 'motor.rotor.coulomb_asymmetry']
 INITIAL = 'initial.modal_coordinates[0]', 'initial.modal_rates[0]'
 
 
@@ -59,24 +61,26 @@ class Case(NamedTuple):
     scene: str
     more: tuple = ()        # free besides those of the rule
     fixed: tuple = ()       # of the rule, but not free
+    gear: float = 0.0       # ratio of that through which it is driven
     other: tuple = ()       # record and columns that are held out in place of the second half
     step: float = 0.02      # of the black box [s]
 
 
 CASES = [
     Case('merced', 'Merced', 'Optimal_SysID/Data/data_vm.mat', 'merced_columns.yaml',
-         'merced.yaml'),
+         'merced.yaml', gear=70.0),
     Case('boulder_6', 'Boulder, unit 6', 'ASEN2003/Lab 6: Rotary Arm/4PM_Group37_FlexArm_Unit6',
-         'boulder_6.yaml', 'boulder.yaml'),
+         'boulder_6.yaml', 'boulder.yaml', gear=48.4),
     Case('boulder_angle', 'Boulder, unit 6, from its shaft on',
          'ASEN2003/Lab 6: Rotary Arm/4PM_Group37_FlexArm_Unit6', 'boulder_angle.yaml',
          'boulder.yaml', more=INITIAL),
     Case('boulder_other', 'Boulder, another group',
-         'Control-Systems-Rotary-Control/flexibleArm_test_4', 'boulder_other.yaml',
-         'boulder.yaml'),
+         'Control-Systems-Rotary-Control/flexibleArm_test_3', 'boulder_other.yaml',
+         'boulder.yaml', gear=48.4,
+         other=('Control-Systems-Rotary-Control/flexibleArm_test_4', 'boulder_other.yaml')),
     Case('prague', 'Prague', 'quanser-2-dof-serial-flexible-link/software/quanser_updated/'
          'lqr_full_10deg.mat', 'prague_columns.yaml', 'prague.yaml',
-         more=('end_effector.inertia', 'tip_torque.gain')),
+         more=('end_effector.inertia', 'tip_torque.gain'), gear=100.0),
     Case('delft', 'Delft', 'flexible-beam-control/ResonanceDataChirp20.csv', 'delft_chirp20.yaml',
          'delft.yaml', other=('flexible-beam-control/ResonanceDataChirp45.csv',
                               'delft_chirp45.yaml')),
@@ -88,13 +92,52 @@ CASES = [
 ]
 
 
-def free_of(case, record):
-    """Return the names that are free by the rule of the page."""
-    names = [*ARM]
-    for name in record.inputs:
-        names += DRIVES.get(name, [])
-    names += [f'{list(record.outputs)[-1]}.{kind}' for kind in ('gain', 'bias', 'delay', 'lag')]
-    return [name for name in (*names, *case.more) if name not in case.fixed]
+def models_of(case, scene, record, until):
+    """
+    Return the models of a case by name: values of its scene that change, and what is free.
+
+    The record is fitted until then [s].
+    """
+    drive, tip = next(iter(record.inputs), ''), list(record.outputs)[-1]
+    sensor = [f'{tip}.{kind}' for kind in ('gain', 'bias', 'delay', 'lag')]
+
+    def free(driven):
+        # What is a record's own is not known of another; one direction shows no asymmetry.
+        hidden = ('.bias', '.delay') if case.other else ()
+        hidden += () if goes_back(record, until) else ('asymmetry',)
+        return [name for name in (*ARM, *driven, *sensor, *case.more)
+                if name not in case.fixed and not name.endswith(hidden)]
+
+    models = {'rigid gear': ({}, free(DRIVES.get(drive, [])))}
+    if case.gear:
+        models['elastic gear'] = (with_rotor(scene, case.gear), free(
+            [*ROTOR, *GEAR, *(name for name in DRIVES[drive] if name not in SHAFT)]))
+    return models
+
+
+def goes_back(record, until):
+    """Return whether the shaft moves in both directions until then [s]."""
+    if 'shaft' not in record.outputs:
+        return False
+    t, values, *_ = record.outputs['shaft']
+    values = values[t <= until]
+    rise = np.max(values - np.minimum.accumulate(values))
+    fall = np.max(np.maximum.accumulate(values) - values)
+    return bool(min(rise, fall) > 0.5 * np.ptp(values))
+
+
+def with_rotor(scene, ratio):
+    """Return what changes in a scene whose drive becomes a rotor behind an elastic gear."""
+    inertia, viscous, dry, speed = (scene.values[name] for name in SHAFT[:4])
+    stiffness = 20.0 * dry / 0.05  # twists by 0.05 rad under the largest torque of the record
+    return {'motor.dc.gear_ratio': ratio, 'motor.shaft_inertia': 0.1 * inertia,
+            'motor.viscous_friction': 0.0, 'motor.coulomb_friction': 0.0,
+            'motor.coulomb_speed': 0.0, 'motor.gear.stiffness': stiffness,
+            'motor.gear.damping': 0.002 * stiffness, 'motor.gear.backlash': 0.01,
+            'motor.rotor.inertia': 0.9 * inertia / ratio**2,
+            'motor.rotor.viscous_friction': viscous / ratio**2,
+            'motor.rotor.coulomb_friction': dry / ratio,
+            'motor.rotor.coulomb_speed': speed * ratio}
 
 
 def read(record, columns):
@@ -114,38 +157,26 @@ def bounds_of(names, scene):
 
 
 def fitted(case):
-    """Return the Fit of a case, the best of STARTS, and R^2 by output, (fitted, held out)."""
-    record, best = read(case.record, case.columns), None
-    names = free_of(case, record)
-    with warnings.catch_warnings():
-        warnings.simplefilter('ignore', timo_sim.ModelWarning)
-        scene = timo_sim.load_scene(FILES / case.scene)
-        for factor in STARTS:
-            found = timo_sim.fit(
-                scene.vary({ARM[0]: factor * scene.values[ARM[0]]}), record, names,
-                bounds_of(names, scene), 0.0 if case.other else HOLD_OUT)
-            score = sum(each.r_squared for each in found.errors.values())  # of equal weights
-            if best is None or score > best[0]:
-                best = score, found
-    found = with_other(best[1], read(*case.other), names) if case.other else best[1]
-    return found, {name: (each.r_squared, each.hold_out_r_squared)
-                   for name, each in found.errors.items()}
+    """Return the Fit of a case, its model's name, and by model R^2 of what chose it."""
+    (record, _, until), *_ = parts_of(case)
+    scene, trials = timo_sim.load_scene(FILES / case.scene), {}
 
+    def fit(name, part, hold_out, others=()):
+        values, free = models_of(case, scene, part, (1.0 - hold_out) * part.duration)[name]
+        start = scene.vary(values)
+        return timo_sim.fit(start, part, free, bounds_of(free, start), hold_out,
+                            hold_out_records=others)
 
-def with_other(found, record, names):
-    """Return a Fit with the prediction of another record, all of it held out."""
-    sensors = {name: found.values[name] for name in names
-               if name.partition('.')[0] in (*record.inputs, *record.outputs)}
-    unknown = [name for name, value in sensors.items() if np.isnan(value)]
-    if unknown:
-        raise ValueError(f'{unknown} cannot be identified, so no other record can be predicted')
-    problem = Problem(found.scene, record, list(sensors), {}, record.duration)
-    run = problem.run(sensors)
-    predicted = {name: values for name, (_, values) in problem.predictions(run, sensors).items()}
-    return replace(found, record=problem.record, predicted=predicted, until=0.0, errors={
-        name: replace(each, hold_out_r_squared=r_squared(record.outputs[name].values,
-                                                         predicted[name]))
-        for name, each in found.errors.items()})
+    models = [*models_of(case, scene, record, until)]
+    if len(models) > 1:
+        for name in models:
+            found = fit(name, record.cut(0.0, until), HOLD_OUT)
+            trials[name] = {  # a record that rests there has no spread of its own
+                output: 1.0 - (each.hold_out_rms / SPREAD / record.outputs[output].noise)**2
+                for output, each in found.errors.items()}
+    chosen = max(models, key=lambda name: sum(trials.get(name, {}).values()))
+    others = [read(*case.other)] if case.other else []
+    return fit(chosen, record, 0.0 if others else HOLD_OUT, others), chosen, trials
 
 
 def parts_of(case):
@@ -305,7 +336,7 @@ def summary(quick):
     """Return the table of all arms, R^2 of what was held out, from what the sections found."""
     rows, found = [], json.loads(SCORES.read_text(encoding='utf-8'))
     for case in CASES:
-        own, *rivals = found[case.name]
+        own, *rivals, _ = found[case.name]
         for name, (_, held) in own.items():
             met = [f'{goal}' for goal in GOALS if held >= goal]
             rows.append([case.lab, name, in_words(held), *(
@@ -315,92 +346,92 @@ def summary(quick):
                   'at least'], rows)
 
 
-def explained(case):
-    """
-    Return how much of the variance of a moving shaft's acceleration its equation explains.
-
-    Fitted to the first half are its speed, direction, torque or voltage and tip, at the delays
-    that fit best; the second half counts. Then with a dead zone of a twentieth of the largest
-    voltage, and with the voltages of the last 100 ms in place of one.
-    """
-    record = read(case.record, case.columns)
-    t = np.arange(0.0, record.duration, 0.002)
-    drive, shaft, tip = (
-        savgol_filter(np.interp(t, channel.t, channel.values), 21, 3)
-        for channel in (*list(record.inputs.values())[:1], *record.outputs.values()))
-    speed = savgol_filter(shaft, 21, 3, 1, 0.002)
-    rate = savgol_filter(speed, 21, 3, 1, 0.002)
-    at = np.arange(60, len(t) - 60)
-    at = at[np.abs(speed[at]) > 0.1 * np.abs(speed).max()]
-    half = at < 0.5 * len(t)
-
-    def of(*columns):
-        rows = np.column_stack([speed[at], np.sign(speed[at]), np.ones(len(at)), *columns])
-        x = np.linalg.lstsq(rows[half], rate[at][half], rcond=None)[0]
-        missed = rate[at] - rows @ x
-        return [1.0 - missed[part].var() / rate[at][part].var() for part in (half, ~half)]
-
-    _, late, tip_late = max((of(drive[at - i], tip[at + k])[0], i, k)
-                            for i in range(0, 41, 2) for k in range(0, 51, 2))
-    one, seen = drive[at - late], tip[at + tip_late]
-    beyond = np.maximum(np.abs(one) - 0.05 * np.abs(drive).max(), 0.0)
-    return [each[1] for each in (
-        of(one, seen), of(np.sign(one) * beyond, seen),
-        of(*(drive[at - k] for k in range(0, 51, 5)), seen))]
+def friction(record):
+    """Return the largest torque at rest, and dry friction in motion by its balance [N m]."""
+    shaft, torque = record.outputs['shaft'], record.inputs['torque']
+    speed, rate = (savgol_filter(shaft.values, 51, 3, order, record.period) for order in (1, 2))
+    held = savgol_filter(np.interp(shaft.t, torque.t, torque.values), 51, 3)
+    rests, moves = np.abs(speed) < 0.005, np.abs(speed) > 0.5
+    terms = np.column_stack([rate, speed, np.sign(speed), np.ones(len(speed))])
+    return np.abs(held[rests]).max(), np.linalg.lstsq(terms[moves], held[moves], rcond=None)[0][2]
 
 
 def missing(quick):
-    """Return what the records show of the effects that are missing."""
-    cases = {case.name: case for case in CASES}
-    rows = [[case.lab, *(f'{each:.3f}' for each in explained(case))] for case in CASES
-            if 'shaft' in read(case.record, case.columns).outputs]
+    """Return which model was chosen, and what records show of effects that are missing."""
+    cases, rows = {case.name: case for case in CASES}, []
+    for name, (*_, trials) in json.loads(SCORES.read_text(encoding='utf-8')).items():
+        outputs = next(iter(trials.values()), {})
+        rows += [[cases[name].lab, output, *(in_words(trial[output]) for trial in trials.values())]
+                 for output in outputs]
     ringing = read(cases['bratislava'].record, cases['bratislava'].columns).outputs
     t, values, *_ = ringing['tip_acceleration']
     up = np.flatnonzero((values[:-1] < 0.0) & (values[1:] >= 0.0))
     up = t[up] - values[up] * (t[up + 1] - t[up]) / (values[up + 1] - values[up])
     first, last = (1.0 / np.diff(part).mean() for part in np.array_split(up, 4)[::3])
-    laser = read(*cases['delft'].other).outputs['tip_x']
-    jumps = laser.t[1:][np.abs(np.diff(laser.values)) > 4e-3]
+    swept = read(*cases['delft'].other)
+    steps = {name: np.abs(np.diff(channel.values))
+             for name, channel in {**swept.inputs, **swept.outputs}.items()}
+    jumps = np.flatnonzero(steps['tip_x'] > 4e-3)
+    ratio = {name: np.median(2.0 * step[jumps] / (step[jumps - 1] + step[jumps + 1]))
+             for name, step in steps.items()}
+    rest, motion = friction(read(cases['prague'].record, cases['prague'].columns))
     return '\n\n'.join([
-        table(['acceleration of the shaft, variance explained', 'by one voltage or torque',
-               'with a dead zone', 'by those of the last 100 ms'], rows),
+        table(['choice of the model', 'R^2 of', 'rigid gear', 'elastic gear'], rows),
+        f'Prague: the shaft rests under torques of up to {rest:.1f} N m; dry friction in motion, '
+        f'faster than 0.5 rad/s, takes {motion:.1f} N m. '
         f'Delft: the laser jumps by more than 4 mm in 1 ms {len(jumps)} times, mostly '
-        f'{np.median(np.diff(jumps)):.3f} s apart. Bratislava: the strip rings at {first:.2f} Hz '
-        f'in the first quarter and at {last:.2f} Hz in the last.'])
+        f'{1e-3 * np.median(np.diff(jumps)):.3f} s apart. In that millisecond the cart moves '
+        f'{ratio["carrier_x"]:.1f} times as far as in those before and after (median), and the '
+        f'voltage {ratio["force_x"]:.1f} times. Bratislava: the strip rings at {first:.2f} Hz in '
+        f'the first quarter and at {last:.2f} Hz in the last.'])
+
+
+def command_of(case, parts, chosen):
+    """Return the command line of a fit with the chosen model."""
+    (record, _, until), *_ = parts
+    scene = timo_sim.load_scene(FILES / case.scene)
+    values, names = models_of(case, scene, record, until)[chosen]
+    bounds = ' '.join(f'{name}={low:.3g}:{high:.3g}' for name, (low, high) in bounds_of(
+        names, scene.vary(values)).items()).replace(' ', ' --bounds ')
+    changes = ' '.join(['--set', *(f'{name}={value:.6g}' for name, value in values.items())])
+    held = f"--hold-out-record '{case.other[0]}'" if case.other else f'--hold-out {HOLD_OUT:g}'
+    columns = ' '.join(f'example/real_arm/{each}'
+                       for each in dict.fromkeys([case.columns, *case.other[1:]]))
+    return ' \\\n    '.join([
+        f"timo_sim fit '{case.record}' {held}",
+        f'--scene example/real_arm/{case.scene} --mapping {columns}',
+        *wrap(f'--bounds {bounds}', 112), *(wrap(changes, 112) if values else []),
+        *wrap(f'--free {" ".join(names)} -o fitted.yaml --png fit.png', 112)])
 
 
 def section(case):
     """Fit a case, draw it, and return what the page says of it."""
     parts = parts_of(case)
-    found, own = fitted(case)
+    found, chosen, trials = fitted(case)
+    held = (found.more or [found])[-1]
+    own = {name: (each.r_squared, held.errors[name].hold_out_r_squared)
+           for name, each in found.errors.items()}
     box, order = black_box(case, parts)
     by_model = {'`timo_sim`': own, 'textbook': textbook(case, parts),
                 f'black box of order {order}': box}
     old = json.loads(SCORES.read_text(encoding='utf-8')) if SCORES.exists() else {}
-    SCORES.write_text(json.dumps({**old, case.name: [*by_model.values()]}, indent=1) + '\n',
-                      encoding='utf-8')
-    found.plot().savefig(ROOT / 'doc' / 'real_arm' / f'{case.name}.png', dpi=70)
-    rows = [[model, name, *map(in_words, score)] for model, scored in by_model.items() if scored
-            for name, score in scored.items()]
-    names, start = [*found.estimates], found.estimates[ARM[0]].start
-    bounds = ' '.join(f'--bounds {name}={low:g}:{high:g}' for name, (low, high) in bounds_of(
-        names, timo_sim.load_scene(FILES / case.scene)).items())
-    command = ' \\\n    '.join([
-        f"timo_sim fit '{case.record}'",
-        f'--scene example/real_arm/{case.scene} --mapping example/real_arm/{case.columns}',
-        f'--set {ARM[0]}={start:g}' + (f' --hold-out {HOLD_OUT:g}' if not case.other else ''),
-        *wrap(bounds, 94), '-o fitted.yaml --png fit.png',
-        *wrap(f'--free {" ".join(names)}', 94)])
-    other = f'; the record that is held out is `{case.other[0]}`' if case.other else ''
-    return '\n\n'.join(filter(None, [
+    SCORES.write_text(json.dumps({**old, case.name: [*by_model.values(), trials]}, indent=1)
+                      + '\n', encoding='utf-8')
+    held.plot().savefig(ROOT / 'doc' / 'real_arm' / f'{case.name}.png', dpi=70)
+    rows = [[model, *(in_words(each) for score in scored.values() for each in score)]
+            for model, scored in by_model.items() if scored]
+    return '\n\n'.join([
         f'![Measured and predicted](real_arm/{case.name}.png)',
-        table(['model', 'R^2 of', 'fitted', 'held out'], rows),
-        f'The best of three starts{other}:', f'```\n{command}\n```',
-        f'```text\n{found.report().replace(str(DATA) + "/", "")}\n```']))
+        table(['R^2', *(f'{name}, {part}' for name in own for part in ('fitted', 'held out'))],
+              rows),
+        f'The fit, with the {chosen}:' if trials else 'The fit:',
+        f'```\n{command_of(case, parts, chosen)}\n```',
+        f'```text\n{found.report().replace(str(DATA) + "/", "")}\n```'])
 
 
 PARTS = {**{case.name: lambda quick, case=case: section(case) for case in CASES},
          'missing': missing, 'summary': summary}
 
 if __name__ == '__main__':
+    warnings.simplefilter('ignore', timo_sim.ModelWarning)  # the reports have them
     make_page(__spec__, __doc__, 'real_arm.md', PARTS)

@@ -132,9 +132,9 @@ class Prediction:
                 axes.plot(channel.t, channel.values - self.predicted[name], color=COLOURS[2],
                           linewidth=0.8, label='difference')
             each = self.errors[name]
-            text = f'R² = {each.r_squared:.3f} fitted'
-            if np.isfinite(each.hold_out_r_squared):
-                text += f', {each.hold_out_r_squared:.3f} held out'
+            text = 'R² = ' + ', '.join(f'{value:.3f} {part}' for value, part in (
+                (each.r_squared, 'fitted'), (each.hold_out_r_squared, 'held out'))
+                if np.isfinite(value))
             axes.legend(fontsize='small', ncols=3, frameon=False, loc='lower right',
                         bbox_to_anchor=(1.0, 1.0), borderaxespad=0.0)
             axes.set_title(text, loc='left', fontsize='small')
