@@ -190,7 +190,10 @@ def _gear(own, step):
 def _resonances(search, size):
     """Yield frequencies beside those of the model, and columns, (size,), of such a resonance."""
     problem = search.problems[0]
-    own = modes(problem.scene_of(search.values(search.x, 0))).frequency
+    try:
+        own = modes(problem.scene_of(search.values(search.x, 0))).frequency
+    except ParameterError:  # as where more modes need shorter steps
+        return
     highest = 0.2 / problem.record.period
     if not problem.record.inputs or not len(own) or own[0] >= highest:
         return
