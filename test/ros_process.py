@@ -24,6 +24,7 @@ from timo_sim.runs.replay import replay
 
 # [s] A longer wait is a hang. No test takes that long, also on a machine with ten times the load.
 PATIENCE = 300.0
+_TRIES = 15  # clients of a service that are made in this time until one is answered
 
 
 def nanoseconds(message):
@@ -83,13 +84,20 @@ class Client(Node):
 
     def service(self, service_type, name):
         """Return a function that calls a service of the node under test and returns the answer."""
-        client = self.create_client(service_type, name)
-        assert client.wait_for_service(PATIENCE), f'no service {name}'
-        self.wait_until_known_to(name.rpartition('/')[0])
+        for tries in range(_TRIES):
+            client = self.create_client(service_type, name)
+            assert client.wait_for_service(PATIENCE), f'no service {name}'
+            try:
+                self.wait_until_known_to(name.rpartition('/')[0], PATIENCE / _TRIES)
+                break
+            except AssertionError:  # in a storm the middleware may lose a reader for good
+                if tries == _TRIES - 1:
+                    raise
+                self.destroy_client(client)
         return lambda **fields: self.answer(
             lambda: client.call_async(service_type.Request(**fields)), name)
 
-    def wait_until_known_to(self, node):
+    def wait_until_known_to(self, node, patience=PATIENCE):
         """
         Wait until a node knows all that this process has made: clients, publishers, subscribers.
 
@@ -100,12 +108,13 @@ class Client(Node):
         """
         client = self.create_client(GetParameterTypes, f'{node}/get_parameter_types')
         assert client.wait_for_service(PATIENCE), f'no service {client.srv_name}'
-        self.answer(lambda: client.call_async(GetParameterTypes.Request()), client.srv_name, 0.5)
+        self.answer(lambda: client.call_async(GetParameterTypes.Request()), client.srv_name, 0.5,
+                    patience)
 
     @staticmethod
-    def answer(call, what, repeat_after=PATIENCE):
+    def answer(call, what, repeat_after=PATIENCE, patience=PATIENCE):
         """Return what a service answers: `call` asks it, each `repeat_after` s, for a future."""
-        done, end = threading.Event(), time.monotonic() + PATIENCE
+        done, end = threading.Event(), time.monotonic() + patience
         while time.monotonic() < end:
             future = call()
             future.add_done_callback(lambda _: done.set())
