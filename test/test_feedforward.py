@@ -107,6 +107,7 @@ def test_the_shortest_plan_of_a_rigid_arm_is_that_of_an_s_curve():
         'shaft_rad': 1.0, 'carrier_y_m': 0.0}}, 'goal must be in reach of the inputs'),
     ({'model': model(**HANGS), 'limit': 2.0}, 'goal must be in reach of the inputs within their'),
     ({'model': timo_sim.linearize(ARM), 'duration': 1.0}, 'use model.to_discrete'),
+    ({'model': model()}, 'duration must be given if nothing is limited'),
     ({'model': model(), 'duration': 1.001}, 'must be a whole multiple of dt = 0.01'),
     ({'model': model(), 'duration': -1.0}, 'duration must be a finite number > 0 s, got -1.0'),
     ({'model': model(), 'duration': 1.0, 'limit': 0.0}, 'limit and rate_limit must be .* > 0'),

@@ -144,7 +144,8 @@ def test_sensors_and_efforts_know_it():
 def test_the_linear_model_has_its_slope_at_rest():
     """It is that of a viscous friction, the limit over the speed."""
     at_rest = {'initial.shaft': 0.3, 'initial.shaft_velocity': 0.0}
-    smooth = timo_sim.linearize(timo_sim.load_scene({**BOTH, **at_rest}))
+    with pytest.warns(timo_sim.ModelWarning, match='well below coulomb_speed'):
+        smooth = timo_sim.linearize(timo_sim.load_scene({**BOTH, **at_rest}))
     viscous = timo_sim.linearize(timo_sim.load_scene({
         'motor.viscous_friction': 2.0 / 0.3, 'carrier.viscous_friction': 1.0 / 0.05, **at_rest}))
     for name in 'ABCD':

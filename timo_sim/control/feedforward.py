@@ -73,6 +73,8 @@ def feedforward(model: LinearModel, goal: Mapping[str, float], duration: float |
     values = _GOAL.check([*goal.values()])
     limits = np.stack([np.broadcast_to(_LIMITS.check(each), len(model.inputs)) * unit
                        for each, unit in ((limit, 1.0), (rate_limit, model.dt))])
+    if duration is None and not np.isfinite(limits).any():
+        raise ParameterError('duration must be given if nothing is limited, got None')
     low = high = len(model.A) if duration is None else whole_ratio(
         'duration', _DURATION.check(duration), 'dt', model.dt)
     inputs = partial(_inputs, model.select(outputs=[*goal]), values, limits)

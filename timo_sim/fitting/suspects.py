@@ -152,8 +152,7 @@ def _effects(search: Search) -> Iterator[tuple[str, str, bool, list[Any]]]:
         if own[name.replace('asymmetry', 'friction')] and not own[name]:
             yield ('friction that depends on the direction', f'set {name} to about {{:.2g}}, and '
                    'free it', False, [(_ASYMMETRY, {}, [{name: _ASYMMETRY}])])
-    if 'motor.gear.backlash' in PARAMETERS and own['motor.shaft'] == 'free' and (
-            not own['motor.gear.backlash']):
+    if own['motor.shaft'] == 'free' and not own['motor.gear.backlash']:
         gear = {} if own['motor.gear.stiffness'] else _gear(own, step)
         if gear:
             yield ('an elastic gear', 'set motor.gear.stiffness and motor.rotor.inertia, and free '

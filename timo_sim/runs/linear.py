@@ -18,7 +18,7 @@ from timo_sim.model.formulation import Formulation
 from timo_sim.model.layout import (
     ANGLE, INPUTS, LOADS, Motion, rotate, TIP_TORQUE, TIP_X, TIP_Y, TORQUE, VOLTAGE)
 from timo_sim.scene.loads import CHANNELS
-from timo_sim.scene.parameters import did_you_mean, Parameter, ParameterError
+from timo_sim.scene.parameters import did_you_mean, Parameter, ParameterError, warn
 from timo_sim.scene.scene import load_scene, motor_constants, SceneLike
 from timo_sim.simulation.snapshot import Joints
 from timo_sim.topics.outputs import SENSORS
@@ -183,6 +183,11 @@ def linearize(scene: SceneLike, at: np.ndarray | None = None) -> LinearModel:
     ParameterError
         If the motion is no equilibrium.
 
+    Warns
+    -----
+    ModelWarning
+        If friction builds up over a speed, since the model holds for slower motions alone.
+
     Examples
     --------
     >>> import timo_sim
@@ -205,6 +210,13 @@ def linearize(scene: SceneLike, at: np.ndarray | None = None) -> LinearModel:
             'a scene is linearised about an equilibrium, where nothing moves; got speeds of up to '
             f'{np.abs(moving).max():.3g} and rates of the state of up to {rate.max():.3g}: set '
             'initial.equilibrium, or give another motion as `at`')
+    # By columns x, y, shaft, and rotor.
+    steep = np.array(formulation.manipulator.coulomb)[[0, 0, 1, 2], 0] > 0.0
+    free = [*(k in formulation.axes for k in (0, 1)), not formulation.driven,
+            bool(formulation.gear)]
+    if (steep & free).any():
+        warn('the linear model has the viscous friction of speeds well below coulomb_speed: for '
+             'faster motions linearise without Coulomb friction')
     a, to_state, places = state_matrix(formulation, at, load)
 
     # A rate is linear in a load. That of a voltage is the torque of the motor.
