@@ -6,6 +6,7 @@
 import warnings
 
 import numpy as np
+from oracles.observed import observe
 import pytest
 from scipy.linalg import block_diag
 
@@ -32,23 +33,7 @@ class Runs:
         places = timo_sim.linearize(scene).places
         self.tips, self.innovations, self.squares = [], [], []
         for seed in range(seeds):
-            random = np.random.default_rng(seed)
-            observer = timo_sim.observer(scene, disturbance={'torque': (SIZE, TIME)})
-            arm = timo_sim.Simulator(scene.vary({'sensor.seed': seed}))
-            first, covariance = arm.motion.values, observer.covariance
-            first[places] = random.multivariate_normal(
-                first[places], covariance[:len(places), :len(places)])
-            arm.set_motion(first)
-            disturbance, fade = SIZE * random.standard_normal(), np.exp(-PERIOD / TIME)
-            for k in range(updates + 1):
-                torque = 5.0 * np.sin(6.0 * k * PERIOD)
-                if k:
-                    disturbance = fade * disturbance + (
-                        SIZE * np.sqrt(1.0 - fade**2) * random.standard_normal())
-                    arm.step(torque=torque + disturbance, duration=PERIOD)
-                seen = arm.sensors
-                observer.update({name: getattr(seen, name) for name in observer.sensors},
-                                {'torque': torque}, PERIOD if k else 0.0)
+            for observer, arm, disturbance in observe(scene, seed, (SIZE, TIME), PERIOD, updates):
                 error = observer.deflection()[1] - arm.deflection()[1]
                 self.tips.append(error / observer.deflection_deviation[1])
                 self.innovations.append(observer.normalised_innovation)

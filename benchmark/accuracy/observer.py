@@ -13,6 +13,7 @@ import math
 import warnings
 
 import numpy as np
+from oracles.observed import observe
 
 from benchmark import ROOT
 from benchmark.accuracy.real_arm import CASES, DATA, FILES, HOLD_OUT
@@ -34,26 +35,8 @@ ENCODER = 2.0 * math.pi / 4096.0  # resolution of the real encoder [rad]
 
 def errors(scene, seed):
     """Return error, deviation and deflection of the tip [m], and innovations, of an observer."""
-    random = np.random.default_rng(seed)
-    size, time = 1.0, 0.5
-    observer = timo_sim.observer(scene, disturbance={'torque': (size, time)})
-    arm = timo_sim.Simulator(scene.vary({'sensor.seed': seed}))
-    places = timo_sim.linearize(scene).places
-    first, count = arm.motion.values, len(places)
-    first[places] = random.multivariate_normal(
-        first[places], observer.covariance[:count, :count])
-    arm.set_motion(first)
-    disturbance, fade, rows, innovations = size * random.standard_normal(), math.exp(
-        -PERIOD / time), [], []
-    for k in range(UPDATES + 1):
-        torque = 5.0 * math.sin(6.0 * k * PERIOD)
-        if k:
-            disturbance = fade * disturbance + (
-                size * math.sqrt(1.0 - fade**2) * random.standard_normal())
-            arm.step(torque=torque + disturbance, duration=PERIOD)
-        seen = arm.sensors
-        observer.update({name: getattr(seen, name) for name in observer.sensors},
-                        {'torque': torque}, PERIOD if k else 0.0)
+    rows, innovations = [], []
+    for observer, arm, _ in observe(scene, seed, (1.0, 0.5), PERIOD, UPDATES):
         true = arm.deflection()[1]
         rows.append([observer.deflection()[1] - true, observer.deflection_deviation[1], true])
         innovations.append(observer.normalised_innovation)
