@@ -10,13 +10,14 @@ voltage. The linear filter has the same fit, noise and disturbance, without dry 
 """
 
 import math
+import os
+from pathlib import Path
 import warnings
 
 import numpy as np
 from oracles.observed import observe
 
 from benchmark import ROOT
-from benchmark.accuracy.real_arm import CASES, DATA, FILES, HOLD_OUT
 from benchmark.report import BLACK, BLUE, make_page, ORANGE, table
 import timo_sim
 from timo_sim.fitting.problem import r_squared
@@ -29,6 +30,8 @@ SENSORS = {
     'encoder, IMU at the tip': {
         'encoder.noise': 1e-4, 'gyro.noise': 2e-3, 'tip_acceleration.noise': 0.05}}
 ARMS = {'held': {'carrier.held': 'both'}, 'free': {}}
+FILES, RECORD = ROOT / 'example' / 'real_arm', Path(
+    os.environ.get('DATA', 'data'), 'Optimal_SysID/Data/data_vm.mat')
 PERIOD_OF_RECORD = 0.002         # [s]
 ENCODER = 2.0 * math.pi / 4096.0  # resolution of the real encoder [rad]
 
@@ -67,18 +70,18 @@ class Link:
     """The real arm: its record, and what was fitted to the first half."""
 
     def __init__(self):
-        case = CASES[0]
-        scene = timo_sim.load_scene(FILES / case.scene)
-        record = timo_sim.read_record(DATA / case.record, FILES / case.columns)
+        scene = timo_sim.load_scene(FILES / 'merced.yaml')
+        record = timo_sim.read_record(RECORD, FILES / 'merced_columns.yaml')
         # The arm behind its shaft, then the motor that turns it.
-        angle = timo_sim.read_record(DATA / case.record, FILES / 'merced_angle.yaml')
+        angle = timo_sim.read_record(RECORD, FILES / 'merced_angle.yaml')
         self.arm = timo_sim.fit(scene, angle, [
-            'arm.young_modulus', 'arm.damping_ratio', 'root_strain.gain'], hold_out=HOLD_OUT)
+            'arm.young_modulus', 'arm.damping_ratio', 'root_strain.gain'], hold_out=0.5)
         known = scene.vary({name: self.arm.scene.values[name]
                             for name in ('arm.young_modulus', 'arm.damping_ratio')})
-        self.motor = timo_sim.fit(
-            known, record, [name for name in case.free if not name.startswith('arm.')],
-            hold_out=HOLD_OUT)
+        self.motor = timo_sim.fit(known, record, [
+            'motor.shaft_inertia', 'motor.dc.torque_constant', 'motor.viscous_friction',
+            'motor.coulomb_friction', 'motor.coulomb_speed', 'voltage.bias', 'root_strain.gain'],
+            hold_out=0.5)
         self.scene = self.motor.scene.vary({'sensor.encoder.resolution': ENCODER})
         # Half of the dry friction, and about a period of the clamped arm.
         self.disturbance = 0.5 * self.scene.values['motor.coulomb_friction'], 0.4
