@@ -14,6 +14,7 @@ from scipy.signal import lfilter
 import timo_sim
 from timo_sim.fitting.record import Channel, OUTPUTS
 from timo_sim.fitting.problem import covariance, loads_of, Problem, whiteness
+from timo_sim.model.layout import AFTER, TORQUE
 
 ARM = {'carrier.held': 'both', 'arm.length': 0.42, 'arm.height': 0.001, 'arm.width': 0.02,
        'arm.density': 7800.0, 'arm.young_modulus': 2e11, 'arm.shear_modulus': 7.7e10,
@@ -148,8 +149,32 @@ def test_sensors_have_gain_bias_delay_and_lag():
     assert record.outputs['shaft'].values == pytest.approx(1.5 * wanted + 0.3, abs=2e-5)
 
 
+@pytest.mark.parametrize('hold', ['zero', 'linear'])
+def test_inputs_lag_in_closed_form(hold):
+    """Jumps, or a ramp, of a torque through a first-order lag; a delay is no whole step."""
+    t = np.array([0.0, 0.1, 0.5, 1.0])
+    record = timo_sim.Record.of({'torque': Channel(t, np.array([1.0, 1.0, 3.0, 3.0]), hold=hold)},
+                                {'shaft': (T, T)})
+    scene = timo_sim.load_scene(ARM)
+    acting = loads_of(record, scene, {'torque.lag': 0.03, 'torque.delay': 0.0123,
+                                      'torque.gain': 2.0}).stages(0, 600, scene.step)
+    late = scene.step * np.arange(1, 601) - 0.0123
+
+    def after(begin):  # time since then, and how much of a jump has come through
+        since = np.maximum(late - begin, 0.0)
+        return since, 1.0 - np.exp(-since / 0.03)
+    if hold == 'zero':
+        wanted = 1.0 + 2.0 * after(0.5)[1]
+    else:
+        (up, rise), (flat, fall) = after(0.1), after(0.5)
+        wanted = 1.0 + 5.0 * (up - 0.03 * rise - flat + 0.03 * fall)
+    # A jump of 4 N m within a step counts as its mean over the step, which is off by an eighth of
+    # the square of step / lag at most.
+    assert acting[:, AFTER, TORQUE] == pytest.approx(2.0 * wanted, abs=4.0 / 8.0 / 15.0**2)
+
+
 def test_sensors_are_fitted():
-    values = {'tip_transverse.gain': 1.2, 'tip_transverse.bias': 0.002,
+    values = {'voltage.lag': 0.015, 'tip_transverse.gain': 1.2, 'tip_transverse.bias': 0.002,
               'tip_transverse.delay': 0.0073, 'tip_transverse.lag': 0.02, 'voltage.bias': 0.05}
     scene = {**ARM, **MOTOR}
     record = predicted(scene, {'voltage': (T, VOLTAGE)}, ['shaft', 'tip_transverse'], values)

@@ -427,8 +427,8 @@ def sweep(file: str, output: str | None, workers: int | None, scheduler: str | N
     'Parameter file or name of an installed scene, whose values are first guesses; by default '
     'that of RECORD, if it is a log of the node.'))
 @click.option('--free', multiple=True, required=True, metavar='NAME [NAME]...', help=(
-    'Parameters to be fitted: of the scene; QUANTITY.gain, .bias or .delay of an input or output, '
-    '.lag of an output; or initial for the whole initial state.'))
+    'Parameters to be fitted: of the scene; QUANTITY.gain, .bias, .delay or .lag of an input or '
+    'output; or initial for the whole initial state.'))
 @click.option('--bounds', multiple=True, metavar='NAME=LOW:HIGH', help='Bounds of one of them.')
 @_settings
 @click.option('--mapping', type=click.Path(dir_okay=False), metavar='FILE', multiple=True, help=(

@@ -17,6 +17,7 @@ from typing import Any
 import warnings
 
 import numpy as np
+from scipy.integrate import cumulative_trapezoid
 from scipy.interpolate import CubicSpline, make_interp_spline, make_lsq_spline, PPoly
 from scipy.linalg import matmul_toeplitz, solve_toeplitz
 from scipy.signal import lfilter
@@ -30,7 +31,8 @@ from timo_sim.scene.scene import (
     INITIAL, initial_names, initial_scale, motor_constants, number_of, overrides_of, Scene)
 from timo_sim.simulation.warnings import DivergenceError
 
-# What a quantity of the record is multiplied by, added to and late by; only an output has a lag.
+# What a quantity of the record is multiplied by, added to and late by. `lag` is the time constant
+# of a sensor, or of what puts an input out, of first order; an angle that is driven has none.
 SENSOR = {'gain': 1.0, 'bias': 0.0, 'delay': 0.0, 'lag': 0.0}
 _MAX_FACTOR = 1e3  # by which a positive parameter may differ from its start
 
@@ -91,7 +93,7 @@ def free_parameters(names: Sequence[str], bounds: Mapping[str, Sequence[float]],
 def _free(name, bounds, scene, record):
     quantity, _, kind = name.rpartition('.')
     channels = {**record.inputs, **record.outputs}
-    if quantity in channels and kind in SENSOR and (kind != 'lag' or quantity in record.outputs):
+    if quantity in channels and kind in SENSOR and (kind, quantity) != ('lag', DRIVE):
         values = channels[quantity].values
         # A lag begins above its bound of 0, because a search leaves a bound slowly.
         start = 2.0 * record.period if kind == 'lag' else SENSOR[kind]
@@ -199,7 +201,7 @@ def loads_of(record: Record, scene: Scene, values: Mapping[str, float],
     terms: dict[str, list[Any]] = {name: [*own] for name, own in scene.load.terms.items()}
     drive: Any = scene.load.drive
     for name, channel in record.inputs.items():
-        gain, bias, delay, _ = sensor_of(values, name)
+        gain, bias, delay, lag = sensor_of(values, name)
         if name == DRIVE:
             drive = Driven(channel, gain, bias, delay - shift)
             continue
@@ -209,8 +211,26 @@ def loads_of(record: Record, scene: Scene, values: Mapping[str, float],
         t, shown = channel.t + (delay - shift), gain * channel.values + bias
         if channel.hold == 'zero':  # a table that jumps, also inside a step
             t, shown = np.repeat(t, 2)[1:], np.repeat(shown, 2)[:-1]
+        if lag > 0.0:
+            end = max(t[-1], record.duration - shift)
+            t, shown = _lagging(t, shown, end, scene.step, lag)
         terms.setdefault(name, []).append(Table(t, shown))
     return Load({name: tuple(found) for name, found in terms.items()}, drive)
+
+
+def _lagging(t, values, end, step, lag):
+    """Return times and values until `end` of what follows a table with a lag; at rest at first."""
+    grid = t[0] + step * np.arange(math.ceil((end - t[0]) / step) + 1)
+    # The mean over each step is held, which is exact for jumps between steps.
+    inside = grid[~np.isin(grid, t)]
+    places = np.searchsorted(t, inside)
+    every = np.insert(t, places, inside)
+    integral = cumulative_trapezoid(
+        np.insert(values, places, np.interp(inside, t, values)), every, initial=0.0)
+    means = np.diff(np.interp(grid, every, integral)) / step
+    fade = math.exp(-step / lag)
+    follows = lfilter([1.0 - fade], [1.0, -fade], means - values[0])
+    return grid, values[0] + np.append(0.0, follows)
 
 
 def limit_inputs(record: Record, values: Mapping[str, Any]) -> Record:

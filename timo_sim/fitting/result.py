@@ -308,8 +308,8 @@ def fit(scene: SceneLike | None, record: RecordLike | Sequence[RecordLike], free
         these are free, and its own standard deviations of the sensors.
     free : sequence of str
         Names of parameters of the scene that are numbers, with [k] for an element of a list;
-        QUANTITY.gain, .bias or .delay of an input or output of the record, such as shaft.bias, and
-        .lag of an output; or `initial` for the whole initial state.
+        QUANTITY.gain, .bias, .delay or .lag of an input or output of the record, such as
+        shaft.bias; or `initial` for the whole initial state.
     bounds : dict, optional
         (low, high) by name, within the parameter's own rule.
     hold_out : float
