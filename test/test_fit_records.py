@@ -115,6 +115,24 @@ def test_records_share_the_physics_and_have_states_and_biases_of_their_own():
     assert found.more[1].errors['shaft'].hold_out_r_squared > 0.999
 
 
+def test_a_delay_is_the_sensors_in_all_records():
+    """The samples of the second record are twice as far apart; the third is predicted."""
+    delay = 5 * PERIOD
+    records = []
+    for seed, torque, every in ((1, SQUARE, 1), (2, CHIRP, 2), (3, SQUARE[::-1], 1)):
+        record = made(torque[::every].repeat(every)[:len(T)], seed)
+        records.append(timo_sim.Record.of({'torque': (T[::every], torque[::every])}, {
+            name: (T[::every] + late, record.outputs[name].values[::every])
+            for name, late in {'shaft': 0.0, 'tip_transverse': delay}.items()}))
+    found = timo_sim.fit(wrong(1.1, 0.9, 1.1, 0.9), records[:2], [*TRUTH, 'tip_transverse.delay'],
+                         hold_out_records=records[2:])
+    assert [name for name in found.estimates if 'delay' in name] == ['tip_transverse.delay']
+    assert distances(found, {**TRUTH, 'tip_transverse.delay': delay}).max() < 4.0
+    # A record that is held out is predicted to its noise.
+    assert [each.hold_out_rms for each in found.more[1].errors.values()] == pytest.approx(
+        [*NOISE.values()], rel=0.1)
+
+
 def test_the_next_input_narrows_the_interval_as_predicted():
     """Records made with each input, and fitted beside the first, are the oracle."""
     first = made(SQUARE, 1)

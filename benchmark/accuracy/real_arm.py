@@ -115,8 +115,8 @@ def models_of(case, scene, record, until):
     sensor = [f'{tip}.{kind}' for kind in ('gain', 'bias', 'delay', 'lag')]
 
     def free(driven):
-        # What is a record's own is not known of another; one direction shows no asymmetry.
-        hidden = ('.bias', '.delay') if case.other else ()
+        # A bias is not known of another record; one direction shows no asymmetry.
+        hidden = ('.bias',) if case.other else ()
         hidden += () if goes_back(record, until) else ('asymmetry',)
         return [name for name in (*ARM, *driven, *sensor, *case.more)
                 if name not in case.fixed and not name.endswith(hidden)]

@@ -63,7 +63,7 @@ def next_inputs(search: Search, information: np.ndarray, scene: Scene, limit: fl
                               record.duration)], 'linear')
         new.deviations = search.deviations[:1]
         jacobian = new.jacobian(search.x[search.places[0]])
-        # Biases, delays and the initial state of the new record are its own: they come behind.
+        # Biases and the initial state of the new record are its own: they come behind.
         places = [size + k if free.is_own else place
                   for k, (free, place) in enumerate(zip(new.free, search.places[0]))]
         both = np.pad(information, (0, len(new.free)))

@@ -57,7 +57,7 @@ class Free:
     @property
     def is_own(self) -> bool:
         """Whether each of several records has a value of its own."""
-        return self.name.startswith(INITIAL) or '.bias' in self.name or '.delay' in self.name
+        return self.name.startswith(INITIAL) or '.bias' in self.name
 
     def coordinate(self, value: float) -> float:
         """Return the coordinate of the fit for a value."""

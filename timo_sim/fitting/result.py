@@ -304,8 +304,8 @@ def fit(scene: SceneLike | None, record: RecordLike | Sequence[RecordLike], free
         Its values of the free parameters are first guesses. None: the scene of a log of the node.
     record : Record, str or Path, or a list of them
         A Record; a log or bag of the node; or a table: CSV or other text, Parquet, MAT. Several
-        share the parameters, but each has biases, delays and an initial state of its own, if
-        these are free, and its own standard deviations of the sensors.
+        share the parameters, but each has biases and an initial state of its own, if these are
+        free, and its own standard deviations of the sensors.
     free : sequence of str
         Names of parameters of the scene that are numbers, with [k] for an element of a list;
         QUANTITY.gain, .bias, .delay or .lag of an input or output of the record, such as
@@ -327,7 +327,8 @@ def fit(scene: SceneLike | None, record: RecordLike | Sequence[RecordLike], free
         How many starts are tried: the scene's values, what each record itself suggests, and
         points around that. By default up to 16, until the minimum is good or found again.
     hold_out_records : list of Record, str or Path
-        Records that are not fitted but predicted, with the scene's biases and initial states.
+        Records that are not fitted but predicted, without biases and with the scene's initial
+        state.
 
     Raises
     ------

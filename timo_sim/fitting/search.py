@@ -47,7 +47,7 @@ class Search:
     """
     A search for the least sum of squares of several problems; x are the coordinates of all `free`.
 
-    Problems share these, but biases, delays and initial states, which each has of its own:
+    Problems share these, but biases and initial states, which each has of its own:
     `places` has for each problem where its `free` are in x. `deviations` and `against` have for
     each problem, by output, the standard deviation of the sensor, and the least correlation with
     the first run. `tried` starts led to x and to `others` that fit as well, values by name.
@@ -153,7 +153,8 @@ class Search:
         for k, problem in enumerate(self.problems[:count - 1]):
             around = guess.copy()
             found = from_record(problem, self.values(guess, k))
-            around[self.places[k]] = [free.coordinate(found[free.name]) for free in problem.free]
+            for free, place in zip(problem.free, self.places[k]):
+                around[place] = self.free[place].coordinate(found[free.name])
             yield around
         # A Latin hypercube: each parameter has each of its values once.
         random, grid = np.random.default_rng(0), np.linspace(
@@ -191,7 +192,8 @@ class Search:
 
     def values(self, x: np.ndarray, k: int) -> dict[str, float]:
         """Return the values of the free parameters of problem `k`, by the problem's names."""
-        return self.problems[k].values(x[self.places[k]])
+        return {free.name: self.free[place].value(x[place])
+                for free, place in zip(self.problems[k].free, self.places[k])}
 
     def states(self, x: np.ndarray) -> list[dict[str, float]]:
         """Return the values of the initial state of each window, by name."""
