@@ -334,6 +334,7 @@ def test_the_command_fits_and_writes_a_scene(tmp_path):
     done = CliRunner().invoke(main, arguments)
     assert done.exit_code == 0, done.output
     assert 'end_effector.mass' in done.output and 'R^2' in done.output
+    assert 'start 1 of up to 16' in done.output
     assert fitted.read_text().startswith(f'# Fitted to {tmp_path / "run.csv"} by timo_sim fit.')
     scene = timo_sim.load_scene(fitted)
     assert scene.values['end_effector.mass'] == pytest.approx(2.0, rel=1e-5)

@@ -4,6 +4,8 @@
 
 """Fits that start far from the truth, fits to several records, and the record to take next."""
 
+import re
+
 from click.testing import CliRunner
 import numpy as np
 import pytest
@@ -58,11 +60,21 @@ def test_a_fit_finds_the_truth_from_a_wrong_guess():
     with pytest.warns(timo_sim.ModelWarning):
         alone = timo_sim.fit(guess, record, [*TRUTH], starts=1)
     assert not alone.white
-    found = timo_sim.fit(guess, record, [*TRUTH])
+    told = []
+    found = timo_sim.fit(guess, record, [*TRUTH], tell=told.append)
     assert distances(found).max() < 4.0
     assert found.white
     assert 1 < found.starts <= 16
     assert f'{found.starts} starts were tried' in found.report()
+    # It says what it expects, then each start with the residuals before and behind it.
+    assert 'a run of the records takes' in told[0] and ' 4 parameters' in told[0]
+    starts = [re.fullmatch(r'.* s: start (\d+) of up to 16: rms residual (\S+) -> (\S+) deviations'
+                           r' in the first quarter(, \S+ in all)?', text) for text in told]
+    starts = [each.groups() for each in starts if each]
+    assert [int(number) for number, *_ in starts] == [*range(1, found.starts + 1)]
+    assert all(float(after) <= float(before) for _, before, after, _ in starts)
+    times = [float(text.partition(' s: ')[0]) for text in told]
+    assert times == sorted(times)
 
 
 def test_what_a_record_suggests_is_near_the_truth():

@@ -488,7 +488,7 @@ def fit(record: str, more: tuple[str, ...], scene: str | None, free: tuple[str, 
     with warnings.catch_warnings():
         warnings.simplefilter('ignore', ModelWarning)  # the report has its text
         found = fit(load_scene(guess, changes), measured, names, ends, hold_out, window, loss,
-                    starts=starts, hold_out_records=held)
+                    starts=starts, hold_out_records=held, tell=partial(click.echo, err=True))
     click.echo(found.report())
     if output:
         click.echo(f'{found.save(output)} is written')

@@ -84,7 +84,7 @@ class Posterior:
         for _ in range(_MAX_STEPS):
             move = np.zeros(len(x))
             move[some] = solve @ (goal - rows)
-            better = self._within(x + move)
+            better = self.search.within(x + move)
             if np.sum((self.jacobian @ (better - x))**2) < _SETTLED:
                 break
             found = self._rows(better)
@@ -100,24 +100,22 @@ class Posterior:
         At the ends of a quadratic interval the squares rise as they should, within a factor. Where
         they do not, or at a bound, other parameters are fitted with this one held.
         """
-        found, x = {}, self.search.x
+        found, search = {}, self.search
+        x = search.x
         for k in places:
             path = NORMAL * self.spread[:, k] / np.sqrt(self.spread[k, k])
             target = np.sum((self.jacobian @ path)**2)
-            rises = [self._settle(self._within(x + sign * path), k)[1] for sign in (-1.0, 1.0)]
+            rises = [self._settle(search.within(x + sign * path), k)[1] for sign in (-1.0, 1.0)]
             if not all(target / _MAX_RATIO < rise < _MAX_RATIO * target for rise in rises):
                 low, high = (self._end(k, sign * path, target) for sign in (-1.0, 1.0))
                 found[k] = float(low), float(high)
         return found
 
-    def _within(self, x):
-        return np.clip(x, self.search.low, self.search.high)
-
     def _end(self, k, path, target):
         """Return the coordinate at which the least squares have risen by `target` on a side."""
         start, size = self.search.x, 1.0
         for _ in range(_MAX_REFITS):
-            x, rise = self._settle(self._within(start + size * path), k)
+            x, rise = self._settle(self.search.within(start + size * path), k)
             factor = np.sqrt(target / max(rise, 1e-3 * target))
             stopped = x[k] in (self.search.low[k], self.search.high[k]) and factor > 1.0
             if stopped or abs(factor - 1.0) < _NEAR:

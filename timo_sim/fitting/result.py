@@ -5,7 +5,7 @@
 
 from __future__ import annotations
 
-from collections.abc import Mapping, Sequence
+from collections.abc import Callable, Mapping, Sequence
 from dataclasses import dataclass, field
 from itertools import product
 import math
@@ -290,7 +290,8 @@ def fit(scene: SceneLike | None, record: RecordLike | Sequence[RecordLike], free
         window: float | None = None, loss: str = 'linear',
         mapping: str | Path | Mapping[str, Any] | Sequence[Any] | None = None,
         starts: int | None = None,
-        hold_out_records: Sequence[RecordLike] = ()) -> Fit:
+        hold_out_records: Sequence[RecordLike] = (),
+        tell: Callable[[str], object] | None = None) -> Fit:
     """
     Fit parameters of a scene to a measured record, or to several.
 
@@ -329,6 +330,8 @@ def fit(scene: SceneLike | None, record: RecordLike | Sequence[RecordLike], free
     hold_out_records : list of Record, str or Path
         Records that are not fitted but predicted, without biases and with the scene's initial
         state.
+    tell : function(str), optional
+        Is called with the time that the fit may take, each start, and each further phase.
 
     Raises
     ------
@@ -364,9 +367,17 @@ def fit(scene: SceneLike | None, record: RecordLike | Sequence[RecordLike], free
     begun, bounds = time.monotonic(), dict(bounds or {})
     problems = [Problem(start, each, _names_for(each, measured, free), bounds,
                         (1.0 - hold_out) * each.duration, window) for each in measured]
-    search = Search(problems, loss)
+
+    def say(text):
+        if tell:
+            tell(f'{time.monotonic() - begun:.1f} s: {text}')
+
+    search = Search(problems, loss, say)
+    if tell:
+        say(_expect(search))
     search.run(starts)
     names, count = [free.name for free in search.free], len(search.free)
+    say('derivatives, for the intervals')
     jacobians, residuals, jumps = search.derivatives()
     seconds = time.monotonic() - begun
     x, states = search.x[:count], search.states(search.x)
@@ -378,6 +389,7 @@ def fit(scene: SceneLike | None, record: RecordLike | Sequence[RecordLike], free
     halves = NORMAL * sigma
     known = [bool(half < (1.0 if each.log else max(1.0, abs(at))))
              for each, at, half in zip(search.free, x, halves)]
+    say('intervals, where others may be by profile')
     profiles = posterior.intervals(np.flatnonzero(known))
     estimates = {}
     for k, (each, at, half, identified) in enumerate(zip(search.free, x, halves, known)):
@@ -409,6 +421,7 @@ def fit(scene: SceneLike | None, record: RecordLike | Sequence[RecordLike], free
             'shaft' in last.outputs and {'initial', 'initial.shaft'} & {*free}) else {}
         problems.append(Problem(start.vary(seen), last, _names_for(last, measured, shared), {},
                                 0.0))
+    say('one run of each record, and one with more modes and half the step')
     for k, problem in enumerate(problems):
         values = search.values(x, k) if k < len(measured) else {
             each.name: shared[each.name] for each in problem.free}
@@ -419,6 +432,7 @@ def fit(scene: SceneLike | None, record: RecordLike | Sequence[RecordLike], free
     likely = []
     if not white and any(1.0 - each.r_squared > NUMERICAL for prediction in predictions
                          for each in prediction.errors.values()):
+        say('what the residuals look like')
         likely = suspects(search, whole, np.concatenate(residuals))
         doubts[:0] = name_suspects(likely)
     # The derivatives by the parameters that initial states of windows cannot make up for.
@@ -434,6 +448,20 @@ def fit(scene: SceneLike | None, record: RecordLike | Sequence[RecordLike], free
     if doubts:
         warn('; '.join(doubts))
     return found
+
+
+def _expect(search):
+    """Return a text of how long a run takes and a fit may take."""
+    begun = time.monotonic()
+    search.residuals(search.x)
+    run = time.monotonic() - begun
+    columns = max(len(each.free) + len(each.windows[0].names) for each in search.problems)
+    seconds = _RUNS * columns * run
+    text = (f'a run of the records takes {run:.2g} s, a fit of {columns} parameters from one '
+            f'start some {seconds:.2g} s')
+    if seconds > _LONG:
+        text += '; for less, fit fewer parameters to a part of the record, with fewer modes'
+    return text
 
 
 def _names_for(record, records, free):
@@ -479,6 +507,8 @@ _AT_BOUND = 1e-3  # distance from a bound, in coordinates of the fit, that count
 _MIN_SAMPLES = 10  # samples of a part whose errors are worth a number
 _MAX_NOISE_RATIO = 2.0  # ratio of a residual to the known noise, above which there is a warning
 _FAR = 10.0  # ratio of an estimate to its first guess, above which there is a warning
+_RUNS = 30  # runs of a fit for each free parameter, in round figures
+_LONG = 60.0  # time of a fit, above which a remedy is told [s]
 _MAX_NUMERICAL = 0.2  # part of a residual that may be numerical error
 
 

@@ -5,7 +5,7 @@
 
 from __future__ import annotations
 
-from collections.abc import Mapping, Sequence
+from collections.abc import Callable, Mapping, Sequence
 from dataclasses import replace
 import math
 from typing import Any
@@ -28,6 +28,7 @@ _FIRST_DEVIATION = 0.1  # first standard deviation, relative to that of an outpu
 # Relative change of the sum of squares at which a search ends, and its step of differences. A wide
 # one does not see how dry friction makes the sum of squares jagged.
 _LOOSE, _TIGHT = (1e-4, 1e-3), (1e-7, 1e-6)
+_MAX_KNOWN = 4  # residuals that are kept, since searches ask for some again
 _MAX_SEARCHES = 6  # most searches with standard deviations from the one before
 _SETTLED_CHANGE = 0.01  # relative change of standard deviations that counts as none
 _PRIOR_DEVIATION = 10.0  # standard deviation of initial states of windows, in their scales
@@ -51,10 +52,12 @@ class Search:
     `places` has for each problem where its `free` are in x. `deviations` and `against` have for
     each problem, by output, the standard deviation of the sensor, and the least correlation with
     the first run. `tried` starts led to x and to `others` that fit as well, values by name.
+    `tell` is called with a text for each start and search.
     """
 
-    def __init__(self, problems: Sequence[Problem], loss: str) -> None:
-        self.problems, self.loss = [*problems], loss
+    def __init__(self, problems: Sequence[Problem], loss: str,
+                 tell: Callable[[str], object] = lambda text: None) -> None:
+        self.problems, self.loss, self._tell = [*problems], loss, tell
         names = [[f'{free.name} (record {k})' if free.is_own and len(problems) > 1 else free.name
                   for free in each.free] for k, each in enumerate(problems, 1)]
         found: dict[str, Free] = {}
@@ -78,6 +81,7 @@ class Search:
         self._states: list[list[Free]] = [[] for _ in self.windows]
         self.against = [self._check_start(k, problem) for k, problem in enumerate(problems)]
         self._prior = np.zeros(0)
+        self._known: dict[tuple[Any, ...], np.ndarray] = {}
         self.others: list[dict[str, float]] = []
         self.tried = 1
 
@@ -94,10 +98,14 @@ class Search:
             self.x, self._prior = np.concatenate([self.x, start]), start
             self.low = np.concatenate([self.low, np.full(len(every), -np.inf)])
             self.high = np.concatenate([self.high, np.full(len(every), np.inf)])
-        for _ in range(_MAX_SEARCHES):
+        for number in range(1, _MAX_SEARCHES + 1):
             self._solve(_LOOSE)
-            if self._estimate_deviations() < _SETTLED_CHANGE:
+            change = self._estimate_deviations()
+            self._tell(f'search {number} of up to {_MAX_SEARCHES} with the deviations of the '
+                       f'sensors that it finds: they change by {change:.2g}')
+            if change < _SETTLED_CHANGE:
                 break
+        self._tell('last search, with tight tolerances')
         least = self._solve(_TIGHT)
         minima = [self.x]
         for x in ends:
@@ -118,9 +126,12 @@ class Search:
         """Move x to the best minimum from several starts; return the others that are as good."""
         whole, parts, costs, reached, ends = self.windows, [], [], [], []
         first = [(k, Window(0.0, _FIRST_PART * window.end, ())) for k, window in whole]
+        most = f'{starts}' if starts else f'up to {_MAX_STARTS}'
         for self.tried, x in enumerate(self._starts(starts or _MAX_STARTS), 1):
             self.windows, cost = first, math.inf
-            part = self._solve(_LOOSE, x)
+            begun, part = self._rms(x), self._solve(_LOOSE, x)
+            text = (f'start {self.tried} of {most}: rms residual {begun:.3g} -> '
+                    f'{self._rms(self.x):.3g} deviations in the first quarter')
             self.windows, reached = whole, [*reached, self.x]
             # A quiet first part is fitted alike from everywhere: where its fit ends counts.
             known = [old for old, each in zip(costs, reached) if np.allclose(
@@ -130,6 +141,8 @@ class Search:
             elif part <= _WORTHWHILE * min(parts, default=math.inf):
                 cost = self._solve(_LOOSE, self.x)
                 ends.append((cost, self.x))
+                text += f', {self._rms(self.x):.3g} in all'
+            self._tell(text)
             parts.append(part)
             costs.append(cost)
             best, self.x = min(ends, key=lambda end: end[0])
@@ -180,11 +193,18 @@ class Search:
                                      f'{error}') from None
         return against
 
+    def _rms(self, x):
+        return math.sqrt(np.mean(self.residuals(self.within(x))**2))
+
+    def within(self, x: np.ndarray) -> np.ndarray:
+        """Return the coordinates within bounds that are nearest to some."""
+        return np.clip(x, self.low, self.high)
+
     def _solve(self, accuracy, x=None):
         """Move x to the minimum nearest to itself, or to a given x; return half its squares."""
         tolerance, step = accuracy
         found = least_squares(
-            self.residuals, np.clip(self.x if x is None else x, self.low, self.high),
+            self.residuals, self.within(self.x if x is None else x),
             lambda x: self.jacobian(x, step, False), (self.low, self.high), x_scale='jac',
             loss=self.loss, ftol=tolerance, xtol=tolerance, gtol=1e-12, max_nfev=60)
         self.x = found.x
@@ -213,8 +233,13 @@ class Search:
 
     def residuals(self, x: np.ndarray, more: Mapping[str, Any] | None = None) -> np.ndarray:
         """Return all residuals, with values of further parameters by name, shape (n,)."""
-        parts = [self._residuals_of(x, w, more) for w in range(len(self.windows))]
-        return np.concatenate([*parts, (x[len(self.free):] - self._prior) / _PRIOR_DEVIATION])
+        key = x.tobytes(), *self.problems, *self.windows, repr((self.deviations, more))
+        if key not in self._known:
+            parts = [self._residuals_of(x, w, more) for w in range(len(self.windows))]
+            self._known[key] = np.concatenate(
+                [*parts, (x[len(self.free):] - self._prior) / _PRIOR_DEVIATION])
+            self._known = dict([*self._known.items()][-_MAX_KNOWN:])
+        return self._known[key].copy()  # robust losses scale them
 
     def jacobian(self, x: np.ndarray, step: float = _CENTRAL, central: bool = True) -> np.ndarray:
         """Return the derivatives of the residuals by x, from differences of runs."""

@@ -20,8 +20,8 @@ from timo_sim.topics.outputs import NANOSECONDS, SENSORS
 
 _FRICTION = [FORCE_X, FORCE_Y, TORQUE]  # columns of a load, by joint
 # Speed of a joint below which Coulomb friction holds it [m/s, rad/s], doc/theory.md, section 8;
-# sweeps over the joints that it holds.
-_STILL, _SWEEPS = 1e-7, 200
+# most sweeps over the joints that it holds, and their change, relative to it, that is round-off.
+_STILL, _SWEEPS, _SETTLED = 1e-7, 200, 1e-14
 
 
 def applied(loads: np.ndarray, theta: np.ndarray) -> np.ndarray:
@@ -121,14 +121,19 @@ def _friction(accelerate, loads, speed, limit):
     loads[:, _FRICTION] += friction[rows]
     free = accelerate(loads, rows)
     # Accelerations are linear in a load.
-    mobility = np.stack([accelerate(loads + np.eye(LOADS)[column], rows) - free
-                         for column in _FRICTION], axis=-1)
+    joints = np.flatnonzero(limit)
+    mobility = np.zeros((*free.shape, 3))
+    for j in joints:
+        mobility[:, :, j] = accelerate(loads + np.eye(LOADS)[_FRICTION[j]], rows) - free
     holding = np.zeros_like(free)
     for _ in range(_SWEEPS):
-        for j in np.flatnonzero(limit):
+        before = holding.copy()
+        for j in joints:
             left = free[:, j] + np.sum(mobility[:, j] * holding, axis=1)
             holding[:, j] = np.clip(holding[:, j] - left / mobility[:, j, j],
                                     -room[:, j], room[:, j])
+        if np.all(np.abs(holding - before) <= _SETTLED * limit):
+            break
     friction[rows] += holding
     return friction
 
