@@ -122,7 +122,12 @@ def test_records_share_the_physics_and_have_states_and_biases_of_their_own():
         pytest.approx([NOISE['tip_transverse'], 3.0 * NOISE['tip_transverse'], np.nan], rel=0.1,
                       nan_ok=True))
     assert found.more[1].until == 0.0
-    assert not any('nan' in axes.get_title('left') for axes in found.more[1].plot().axes)
+    # The picture has all records, a column for each; the third was held out whole.
+    titles = np.reshape([axes.get_title('left') for axes in found.plot().axes], (3, 3))
+    assert [title.partition(',')[0] for title in titles[0]] == ['record 1', 'record 2', 'record 3']
+    assert [['fitted' in title, 'held out' in title] for title in titles[1]] == [
+        [True, False], [True, False], [False, True]]
+    assert not any('nan' in title for title in titles.ravel())
     assert found.more[1].errors['tip_transverse'].hold_out_r_squared > 0.99
     assert found.more[1].errors['shaft'].hold_out_r_squared > 0.999
 

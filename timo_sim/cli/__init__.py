@@ -450,7 +450,7 @@ def sweep(file: str, output: str | None, workers: int | None, scheduler: str | N
 @click.option('--output', '-o', type=click.Path(dir_okay=False), metavar='FITTED.yaml',
               help='Parameter file to write: the fitted scene.')
 @click.option('--png', type=click.Path(dir_okay=False), metavar='OUT.png',
-              help='Picture to write: measured and predicted outputs.')
+              help='Picture to write: measured and predicted outputs of all records.')
 def fit(record: str, more: tuple[str, ...], scene: str | None, free: tuple[str, ...],
         bounds: tuple[str, ...], settings: tuple[str, ...], mapping: tuple[str, ...],
         outputs: str | None, hold_out: float, hold_out_record: tuple[str, ...],

@@ -24,7 +24,7 @@ from timo_sim.scene.scene import overrides_of, Scene
 
 _MAX_RATIO = 1.5  # of the rise of squares at the ends of an interval to the quadratic one
 _NEAR = 0.01  # relative distance from the end of a profile interval that counts as none
-_MAX_REFITS = 10  # for an end of a profile interval
+_MAX_REFITS = 5  # for an end of a profile interval
 _MAX_STEPS, _SETTLED = 3, 0.05  # of Gauss and Newton in a refit; fall of squares that ends it
 _FREEDOM = 5.0  # degrees of freedom of Student's distribution from which weighted samples come
 _MIN_DRAWS, _MAX_DRAWS = 100, 1000  # draws that are weighted by runs

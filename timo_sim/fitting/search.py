@@ -25,14 +25,16 @@ _MAX_DIFFERENCE = 0.3  # relative difference of derivatives by two steps, above 
 _FIRST_PART = 0.25  # part of the record that is fitted first: early, runs are closer to it
 _MIN_DEVIATION = 1e-5  # least standard deviation, relative to the first
 _FIRST_DEVIATION = 0.1  # first standard deviation, relative to that of an output's values
-# Relative change of the sum of squares at which a search ends, and its step of differences. A wide
-# one does not see how dry friction makes the sum of squares jagged.
-_LOOSE, _TIGHT = (1e-4, 1e-3), (1e-7, 1e-6)
+# Relative changes of the sum of squares and of x at which a search ends, its most evaluations,
+# since a jagged sum never settles, and its step of differences. A wide one does not see how dry
+# friction makes the sum jagged. Starts are only tried: the best one is followed.
+_TRY, _LOOSE, _TIGHT = (1e-2, 1e-4, 12, 1e-3), (1e-4, 1e-4, 30, 1e-3), (1e-7, 1e-7, 30, 1e-6)
 _MAX_KNOWN = 4  # residuals that are kept, since searches ask for some again
 _MAX_SEARCHES = 6  # most searches with standard deviations from the one before
 _SETTLED_CHANGE = 0.01  # relative change of standard deviations that counts as none
 _PRIOR_DEVIATION = 10.0  # standard deviation of initial states of windows, in their scales
 _SAME = 0.01  # relative difference of sums of squares below which they are the same
+_ALIKE = 0.05  # the same, of starts that are only tried
 _WORTHWHILE = 3.0  # ratio to the least, below which a minimum of the first part is followed
 NUMERICAL = 1e-9  # 1 - R^2 below which only numerical errors are left
 _HARDLY_WHITE = 1e-6  # probability of residuals as correlated, above which a minimum is good
@@ -106,13 +108,13 @@ class Search:
             if change < _SETTLED_CHANGE:
                 break
         self._tell('last search, with tight tolerances')
-        least = self._solve(_TIGHT)
+        found = [(self._solve(_TIGHT, x), self.x) for x in [self.x, *ends]]
+        least, self.x = min(found, key=lambda end: end[0])
         minima = [self.x]
-        for x in ends:
-            if self._solve(_TIGHT, x) - least < _SAME * least and all(
-                    self._is_apart(self.x, each, least) for each in minima):
-                minima.append(self.x)
-        self.x = minima[0]
+        for cost, x in found:
+            if cost - least < _SAME * least and all(
+                    self._is_apart(x, each, least) for each in minima):
+                minima.append(x)
         self.others = [{free.name: free.value(at) for free, at in zip(self.free, x)}
                        for x in minima[1:]]
         self._estimate_deviations()
@@ -139,14 +141,14 @@ class Search:
             if known:
                 cost = known[0]
             elif part <= _WORTHWHILE * min(parts, default=math.inf):
-                cost = self._solve(_LOOSE, self.x)
+                cost = self._solve(_TRY, self.x)
                 ends.append((cost, self.x))
                 text += f', {self._rms(self.x):.3g} in all'
             self._tell(text)
             parts.append(part)
             costs.append(cost)
             best, self.x = min(ends, key=lambda end: end[0])
-            found = sum(each <= (1.0 + _SAME) * best for each in costs)
+            found = sum(each <= (1.0 + _ALIKE) * best for each in costs)
             if starts is None and not self._is_doubtful(found):
                 break
         return [x for cost, x in ends if x is not self.x and cost <= (1.0 + _SAME) * best]
@@ -202,11 +204,11 @@ class Search:
 
     def _solve(self, accuracy, x=None):
         """Move x to the minimum nearest to itself, or to a given x; return half its squares."""
-        tolerance, step = accuracy
+        fall, move, most, step = accuracy
         found = least_squares(
             self.residuals, self.within(self.x if x is None else x),
             lambda x: self.jacobian(x, step, False), (self.low, self.high), x_scale='jac',
-            loss=self.loss, ftol=tolerance, xtol=tolerance, gtol=1e-12, max_nfev=60)
+            loss=self.loss, ftol=fall, xtol=move, gtol=1e-12, max_nfev=most)
         self.x = found.x
         return found.cost
 
