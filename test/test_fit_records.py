@@ -13,6 +13,7 @@ import yaml
 
 import timo_sim
 from timo_sim.cli import main
+from timo_sim.fitting import result
 from timo_sim.fitting.problem import Problem
 from timo_sim.fitting.start import from_record
 from timo_sim.scene.parameters import changed
@@ -75,6 +76,17 @@ def test_a_fit_finds_the_truth_from_a_wrong_guess():
     assert all(float(after) <= float(before) for _, before, after, _ in starts)
     times = [float(text.partition(' s: ')[0]) for text in told]
     assert times == sorted(times)
+
+
+@pytest.mark.filterwarnings('ignore::timo_sim.ModelWarning')
+@pytest.mark.parametrize('friction, sticks', [(0.0, False), (0.01, True)])
+def test_a_long_fit_says_what_makes_it_shorter(monkeypatch, friction, sticks):
+    monkeypatch.setattr(result, '_LONG', 0.0)
+    told = []
+    timo_sim.fit(SCENE.vary({'motor.coulomb_friction': friction}), made(SQUARE, 1),
+                 ['arm.young_modulus'], starts=1, tell=told.append)
+    assert 'with fewer modes' in told[0]
+    assert ('coulomb_speed' in told[0]) == sticks
 
 
 def test_what_a_record_suggests_is_near_the_truth():

@@ -475,7 +475,9 @@ def _expect(search):
     text = (f'a run of the records takes {run:.2g} s, a fit of {columns} parameters from one '
             f'start some {seconds:.2g} s')
     if seconds > _LONG:
-        text += '; for less, fit fewer parameters to a part of the record, with fewer modes'
+        text += '; for less, fit fewer parameters to a part of the record, with fewer modes' + (
+            ', and give friction a coulomb_speed: where it sticks runs are slower, and searches '
+            'find no smooth minimum' if search.problems[0].scene.friction.any() else '')
     return text
 
 
