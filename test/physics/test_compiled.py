@@ -204,7 +204,7 @@ def test_a_step_allocates_nothing(formulation, entry, tmp_path):
     model = scene.build()
     constants = model.packed, pack(matrices_of(model.linear, scene.step))
     if entry is friction.advance:
-        constants += FrictionSteps(model, scene.step, np.ones(3)).joints,
+        constants += FrictionSteps(model, scene.step, np.ones(3), np.ones((4, 3))).joints,
     path = tmp_path / 'step.o'
     code = machine.intermediate_code(entry, tuple(each.kind for each in constants))
     path.write_bytes(machine.object_code(

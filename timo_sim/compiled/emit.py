@@ -432,12 +432,16 @@ target_extension.jit_registry[_AnyProcessor] = _compile_for_numba
 
 
 class _Choice(_Compiler):
-    """The dispatcher of a `Declaration`: it chooses a body by the kind of the first argument."""
+    """
+    The dispatcher of a `Declaration`: it chooses a body by the kind of the first argument.
+
+    That is the kind of packed constants, or a NamedTuple.
+    """
 
     declaration: Declaration
 
     def _body(self, args):
-        kind = getattr(args[0], 'kind', None)
+        kind = getattr(args[0], 'kind', None) or getattr(args[0], 'instance_class', None)
         if kind not in self.declaration.bodies:
             raise TypeError(f'{self.declaration.__name__} has no body for {args[0]}')
         return _compiler_of(self.declaration.bodies[kind])

@@ -24,6 +24,7 @@ from timo_sim.simulation.derivatives import unit_loads_of, why_not_differentiabl
 from timo_sim.simulation.loads import Actuators
 from timo_sim.steps import friction
 from timo_sim.steps import instance as steps
+from timo_sim.steps.bristles import MEMORY
 from timo_sim.steps.derivatives import differentiate, inputs_of
 from timo_sim.steps.etdrk4 import advance
 from timo_sim.steps.instance import Code, Instance, KNOWN, LOST, MAGIC, PART, SAVED
@@ -64,7 +65,7 @@ class _Model:
         self.inputs = None if why_not_differentiable(scene) else inputs_of(unit, model.size)
         outputs = steps.MODAL + 2 * len(model.modes) + 1
         self.instance = pack(Instance._make([
-            np.zeros(5), *3 * [np.zeros(LOADS)], *2 * [np.zeros(4)], *2 * [np.zeros(1)],
+            np.zeros(5), *3 * [np.zeros(LOADS)], *2 * [np.zeros(MEMORY)], *2 * [np.zeros(1)],
             *2 * [np.zeros(len(model.linear))], np.zeros((1, STEP_LOADS, LOADS)),
             np.zeros(WIDTH), *2 * [np.zeros(model.size)], *2 * [np.zeros(3)],
             np.zeros(outputs)]))

@@ -420,7 +420,7 @@ def fit(scene: SceneLike | None, record: RecordLike | Sequence[RecordLike], free
             each.start, each.unit, identified, bound, k in profiles)
     doubts, predictions = [], []
     if jumps:
-        cause, remedy = (', as with dry friction', ', or friction with a coulomb_speed'
+        cause, remedy = (', as with dry friction', ', or friction with a coulomb_presliding'
                          ) if start.friction.any() else ('', '')
         doubts.append(f'the run depends on {", ".join(jumps)} in jumps{cause}, so the intervals '
                       f'may be too small: try a shorter window{remedy}')

@@ -23,8 +23,8 @@ from timo_sim.compiled.functions import (
 from timo_sim.model import functions
 from timo_sim.model.functions import sincos
 from timo_sim.model.layout import (
-    ACCELERATION, ANGLE, FORCE_I, FORCE_II, FORCE_X, FORCE_Y, PUSH_X, PUSH_Y, SPEED, TIP_I,
-    TIP_II, TIP_TORQUE, TIP_X, TIP_Y, TORQUE)
+    ACCELERATION, ANGLE, FORCE_I, FORCE_II, FORCE_X, FORCE_Y, PUSH_X, PUSH_Y, SHAFT_FRICTION,
+    SPEED, TIP_I, TIP_II, TIP_TORQUE, TIP_X, TIP_Y, TORQUE)
 
 
 class Tables(NamedTuple):
@@ -349,6 +349,8 @@ def write_rate(tables, state, load, work, out):
     forces = _translate(tables, state, load, work, out)
     on_rotor, place = _rotor_torque(tables, load, work.speed), _gear_place(tables)
     torque = on_rotor - functions.coulomb(tables, 1, work.speed[0])
+    for _ in range(len(tables.gear)):
+        torque += load[SHAFT_FRICTION]
     drag = _linear_drag(tables, work.speed, out, coordinates)
     script_a, script_b = as_vectors(local((across,))), as_vectors(local((across,)))
     moment = _set_moments(tables, load, torque + drag, forces, work, script_a, script_b)

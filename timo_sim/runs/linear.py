@@ -21,6 +21,7 @@ from timo_sim.scene.loads import CHANNELS
 from timo_sim.scene.parameters import did_you_mean, Parameter, ParameterError, warn
 from timo_sim.scene.scene import load_scene, motor_constants, SceneLike
 from timo_sim.simulation.snapshot import Joints
+from timo_sim.steps.bristles import COLUMNS
 from timo_sim.topics.outputs import SENSORS
 
 _PERIOD = Parameter('dt', 1.0, 's', 'period', low=0.0, open_low=True)
@@ -160,9 +161,10 @@ _MAX_RATE = 1e-9
 
 def linearize(scene: SceneLike, at: np.ndarray | None = None) -> LinearModel:
     """
-    Return the linear model of a scene about a state of rest, without its dry friction.
+    Return the linear model of a scene about a state of rest, without dry friction that sticks.
 
-    Friction that builds up over a speed is viscous about rest: its limit over that speed. States
+    Friction that builds up over a speed is viscous about rest: its limit over that speed. With
+    presliding it is a spring: its limit over that way. States
     are free coordinates, then their rates. Inputs are forces on carrier, tip and arm in world
     axes, torques on shaft and tip, the voltage at a DC motor; without those that have no effect.
     Outputs are carrier and shaft, tip in world axes, deflection and rotation of the tip, its angle
@@ -186,7 +188,8 @@ def linearize(scene: SceneLike, at: np.ndarray | None = None) -> LinearModel:
     Warns
     -----
     ModelWarning
-        If friction builds up over a speed, since the model holds for slower motions alone.
+        If friction builds up over a speed or a way, since the model holds for smaller motions
+        alone.
 
     Examples
     --------
@@ -217,6 +220,9 @@ def linearize(scene: SceneLike, at: np.ndarray | None = None) -> LinearModel:
     if (steep & free).any():
         warn('the linear model has the viscous friction of speeds well below coulomb_speed: for '
              'faster motions linearise without Coulomb friction')
+    if scene.bristles.any():
+        warn('the linear model has the spring of motions within coulomb_presliding: for larger '
+             'motions linearise without Coulomb friction')
     a, to_state, places = state_matrix(formulation, at, load)
 
     # A rate is linear in a load. That of a voltage is the torque of the motor.
@@ -233,6 +239,15 @@ def linearize(scene: SceneLike, at: np.ndarray | None = None) -> LinearModel:
     residual = _residual(formulation, at)
     d = np.stack([_outputs(formulation, at, load + units[name]) - still + residual @ units[name]
                   for name in inputs], axis=-1)
+    # About rest bristles are springs at their joints.
+    turns = np.column_stack([formulation.driven_turns, np.eye(half)[2]])[places[:len(a) // 2]]
+    for column, turn, (forward, backward, reach) in zip(COLUMNS, turns.T, scene.bristles):
+        if reach:
+            unit, spring = np.eye(LOADS)[column], 0.5 * (forward + backward) / reach * turn
+            a[:, :len(turn)] -= np.outer(np.linalg.solve(to_state, formulation.rate(
+                state, load + unit) - formulation.rate(state, load)), spring)
+            c[:, :len(turn)] -= np.outer(
+                _outputs(formulation, at, load + unit) - still + residual @ unit, spring)
     return LinearModel(a, b, c, d, state_names(formulation), tuple(inputs),
                        _output_names(formulation), at, places)
 

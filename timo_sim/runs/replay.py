@@ -60,7 +60,7 @@ def open_log(path: str | Path, node: str | None = None) -> Run:
     recording = Recording(path, node)
     _, ns, motion = recording.motion()
     scene = recording.scene
-    heat = np.full(len(ns), np.nan) if scene.friction.any() else np.zeros(len(ns))
+    heat = np.full(len(ns), np.nan) if scene.has_dry_friction else np.zeros(len(ns))
     return Run(scene, scene.build(), 1e-9 * ns, motion, heat, None, recording.summary, recording,
                recording.payloads)
 

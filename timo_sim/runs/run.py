@@ -23,7 +23,7 @@ from timo_sim.scene.scene import Scene
 from timo_sim.simulation.energy import integral
 from timo_sim.simulation.loads import pieces
 from timo_sim.simulation.simulator import Simulator
-from timo_sim.simulation.snapshot import applied, joints_of_run, Snapshot
+from timo_sim.simulation.snapshot import add_bristles, applied, joints_of_run, Snapshot
 from timo_sim.simulation.warnings import DivergenceError
 from timo_sim.topics.outputs import with_angles
 
@@ -52,8 +52,8 @@ class Run(MotionFields, PointsOfArm):
     values : ndarray, shape (n, 2 (3 + N))
         The motion, see `model.layout`; `carrier`, `shaft`, `q` and their rates are parts of it.
     friction_heat : ndarray, shape (n,)
-        Heat that dry friction has produced since the start [J]; NaN for the log of a scene with
-        dry friction, which does not contain it.
+        Energy that dry friction has taken since the start [J]: heat, and what springs of its
+        presliding hold; NaN for the log of a scene with dry friction, which does not contain it.
     warning : str or None
         Why the run should not be trusted, and what to do.
     stats : dict
@@ -191,6 +191,7 @@ class Run(MotionFields, PointsOfArm):
             raise ValueError('a log does not contain all loads: replay it with record_sensors = '
                              'true for ~/root_strain')
         loads = self.loads()
+        add_bristles(self.scene, self.model, self.values, loads)
         return [joints_of_run(self.scene, model, self.values[part], loads[part])
                 for model, part in self._pieces]
 

@@ -173,36 +173,45 @@ def on_boundaries(times: Any, step: float) -> np.ndarray:
 # A step is stable up to 2.785 over the rate at which friction brakes joints, as is measured for 0
 # to 5 modes; the mobility of joints may grow a little in a run.
 _STABLE = 2.5
-# Largest phase in a step of the fastest vibration of a gear with play. From 1.5 on contacts
-# without damping gain energy, as is measured for rigid and bending arms, held and free.
+# Largest phase in a step of the fastest vibration of a gear with play, or of joints on bristles.
+# From 1.5 on contacts without damping gain energy, as is measured for rigid and bending arms, held
+# and free.
 _CONTACT = 1.0
 
 
 def check_slope(scene: Any) -> None:
     """Raise ParameterError if steps are too long for friction over a speed, or for backlash."""
     limit, speed, asymmetry = np.array(scene.manipulator.coulomb)[[0, 0, 1, 2]].T
-    gear = scene.manipulator.gear
-    if not limit.any() and not (gear and gear.backlash):
+    gear, bristles = scene.manipulator.gear, scene.bristles
+    if not limit.any() and not bristles.any() and not (gear and gear.backlash):
         return
     model, motion = scene.build(), scene.initial_motion()
     free = [*model.axes, *range(2 + model.driven, model.size // 2)]
     # The steepest slope of t (1 + a t) is at most 1 + 0.52 a times the one at rest.
     root = np.sqrt(limit / speed * (1.0 + 0.52 * np.abs(asymmetry)))[:, np.newaxis]
     joints = np.vstack([np.eye(3, model.size // 2), model.rotor])[:, free]
-    rate = contact = 0.0
+    # Of bristles in their order: the rotor, if there is one, before the shaft.
+    spring = np.sqrt(np.divide(bristles[:, :2].max(axis=1), bristles[:, 2], out=np.zeros(4),
+                               where=bristles[:, 2] > 0.0))[[0, 1, 3, 2] if gear else [0, 1, 2, 3]]
+    rate = contact = bristle = 0.0
     # Along the arm the carrier is less mobile than across it.
     for motion[2] in (0.0, 0.5 * np.pi):
         mobility = joints @ np.linalg.inv(
             model.mass_matrix(motion)[0][np.ix_(free, free)]) @ joints.T
         rate = max(rate, *np.linalg.eigvalsh(root * mobility * root.T), 0.0)
+        bristle = max(bristle, *np.sqrt(np.maximum(np.linalg.eigvalsh(
+            np.outer(spring, spring) * mobility), 0.0)))
         if gear and gear.backlash:  # its twist is the rotor's angle less that of the shaft
             contact = max(contact, np.sqrt(gear.stiffness * (
                 mobility[2, 2] + mobility[3, 3] - 2.0 * mobility[2, 3])))
-    if contact * scene.step > _CONTACT:
-        raise ParameterError(f'integrator.step = {scene.step:g} s must be at most '
-                             f'{0.99 * _CONTACT / contact:.3g} s for backlash of a gear with this '
-                             'stiffness: take that, or a motor.gear.stiffness '
-                             f'{0.98 * (_CONTACT / contact / scene.step)**2:.3g} times as large')
+    for fastest, what, name, power in (
+            (contact, 'backlash of a gear with this stiffness', 'motor.gear.stiffness', -2),
+            (bristle, 'Coulomb friction with so small a presliding', 'coulomb_presliding', 2)):
+        if fastest * scene.step > _CONTACT:
+            factor = (fastest * scene.step / 0.99 / _CONTACT)**power
+            raise ParameterError(f'integrator.step = {scene.step:g} s must be at most '
+                                 f'{0.99 * _CONTACT / fastest:.3g} s for {what}: take that, or a '
+                                 f'{name} {factor:.3g} times as large')
     if rate * scene.step > _STABLE:
         raise ParameterError(f'integrator.step = {scene.step:g} s must be at most '
                              f'{0.99 * _STABLE / rate:.3g} s for Coulomb friction with this slope:'

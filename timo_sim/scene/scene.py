@@ -137,16 +137,46 @@ class Scene:
     @cached_property
     def friction(self) -> np.ndarray:
         """
-        Largest dry friction of carrier x, y [N] and shaft [N m], 0 if not free, (3,).
+        Largest dry friction without presliding, of carrier x, y [N] and shaft [N m], (3,).
 
-        With an elastic gear the last is that of the rotor.
+        It is 0 for a joint that is not free. With an elastic gear the last is that of the rotor.
         """
-        gear, motor = self.manipulator.gear, 'motor.rotor' if self.manipulator.gear else 'motor'
-        axis, shaft = (0.0 if self.values[f'{body}.coulomb_speed'] else
-                       self.values[f'{body}.coulomb_friction'] for body in ('carrier', motor))
-        shaft *= self.values['motor.dc.gear_ratio'] if gear else 1.0
-        held = [position is not None for position in self.constraints.carrier]
-        return np.where([*held, self.constraints.driven], 0.0, [axis, axis, shaft])
+        return np.array([0.0 if rests or slow else limit
+                         for limit, _, slow, rests, _ in self._dry_friction()[:3]])
+
+    @cached_property
+    def bristles(self) -> np.ndarray:
+        """
+        Dry friction with presliding, see `steps.bristles.Joints`, shape (4, 3).
+
+        Rows are of carrier x, y, of the shaft or, with an elastic gear, the rotor, and of the
+        shaft of an elastic gear; 0 for joints without. Columns are friction in forward and in
+        backward motion [N, N m], and presliding [m, rad].
+        """
+        return np.array([
+            [rest * limit * (1.0 + uneven), rest * limit * (1.0 - uneven), reach]
+            if limit * rest * reach else np.zeros(3)
+            for limit, uneven, _, reach, rest in self._dry_friction()])
+
+    @property
+    def has_dry_friction(self) -> bool:
+        """Whether a joint has dry friction, which depends on more than its speed."""
+        return bool(self.friction.any() or self.bristles.any())
+
+    def _dry_friction(self):
+        # Limit, asymmetry, speed, presliding and its part, by row of `bristles`; seen from the
+        # shaft.
+        values, gear, found = self.values, bool(self.manipulator.gear), []
+        bodies = ['carrier', 'carrier', 'motor.rotor' if gear else 'motor', 'motor']
+        free = [*(place is None for place in self.constraints.carrier),
+                not self.constraints.driven, gear]
+        for body, moves in zip(bodies, free):
+            ratio = values['motor.dc.gear_ratio'] if body == 'motor.rotor' else 1.0
+            found.append((
+                moves * ratio * values[f'{body}.coulomb_friction'],
+                values.get(f'{body}.coulomb_asymmetry', 0.0), values[f'{body}.coulomb_speed'],
+                values[f'{body}.coulomb_presliding'] / ratio, values[f'{body}.coulomb_rest']))
+        return found
 
     def vary(self, overrides: Mapping[str, Any]) -> Scene:
         """Return the scene with other values by name, nested or dotted; else ParameterError."""
@@ -344,8 +374,10 @@ def manipulator_of(values: Mapping[str, Any]) -> Manipulator:
         values['carrier.viscous_friction'],
         values['motor.viscous_friction'] + (0.0 if elastic else motor_constants(values)[1]),
         # Coulomb friction without a speed is dry: joints stick, and the bodies do not know it.
-        tuple((ratio * values[f'{body}.coulomb_friction'], speed / ratio,
-               values.get(f'{body}.coulomb_asymmetry', 0.0)) if speed else (0.0, 1.0, 0.0)
+        tuple((ratio * values[f'{body}.coulomb_friction'] * (
+            1.0 - values[f'{body}.coulomb_rest'] * (values[f'{body}.coulomb_presliding'] > 0.0)),
+               speed / ratio, values.get(f'{body}.coulomb_asymmetry', 0.0))
+              if speed else (0.0, 1.0, 0.0)
               for body, ratio in (('carrier', 1.0), ('motor', 1.0), ('motor.rotor', turns))
               for speed in [values[f'{body}.coulomb_speed']]),
         values['hub.radius'], Gear(
@@ -534,16 +566,22 @@ def check_gear(values: Mapping[str, Any]) -> None:
     """Raise ParameterError if gear, rotor and friction of the motor do not fit together."""
     elastic = values['motor.gear.stiffness']
     for name, value in values.items():
-        if name.startswith(('motor.gear.', 'motor.rotor.')) and value and not elastic:
+        if name.startswith(('motor.gear.', 'motor.rotor.')) and not elastic and (
+                value != PARAMETERS[name].default):
             raise ParameterError(f'{name} needs motor.gear.stiffness > 0, got {elastic:g}')
-    for body in ('motor', 'motor.rotor'):
-        speed = f'{body}.coulomb_speed'
+    for body in ('carrier', 'motor', 'motor.rotor'):
+        speed, reach, rest = (f'{body}.coulomb_{name}' for name in ('speed', 'presliding', 'rest'))
         for name in (f'{body}.coulomb_asymmetry', f'{body}.coulomb_friction'):
             dry = name == 'motor.coulomb_friction' and elastic
-            if values[name] and not values[speed] and (dry or 'asymmetry' in name):
+            if values.get(name) and not values[speed] and not values[reach] and (
+                    dry or 'asymmetry' in name):
                 raise ParameterError(
                     f'{speed} must be > 0 rad/s with {name} = {values[name]:g}'
-                    + bool(dry) * ' and an elastic gear, whose rotor alone can stick')
+                    + bool(dry) * ' and an elastic gear, whose rotor alone can stick'
+                    + f', or {reach} > 0')
+        if values[rest] < 1.0 and not (values[speed] and values[reach]):
+            raise ParameterError(f'{rest} = {values[rest]:g} needs {speed} and {reach} > 0, got '
+                                 f'{values[speed]:g} and {values[reach]:g}')
     if not elastic:
         return
     for name, good, rule in (

@@ -351,8 +351,9 @@ def refusal(scene: Scene) -> str:
     if scene.build().sectors:
         return ' with '.join(f'{name} = {values[name]}' for name in (
             'carrier.held', 'motor.shaft'))
-    if scene.friction.any():
-        return 'Coulomb friction without a coulomb_speed'
+    if scene.has_dry_friction:
+        return 'Coulomb friction ' + ('without a coulomb_speed' if scene.friction.any() else
+                                      'with a coulomb_presliding')
     for name in ('model.accuracy', 'payload.time'):
         if values[name]:
             return f'{name} = {values[name]}'

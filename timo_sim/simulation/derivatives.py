@@ -50,9 +50,9 @@ def why_not_differentiable(scene: Scene) -> str:
             ('carrier.held', values['carrier.held'] not in ('x', 'y'), 'none or both')):
         if not good:
             return f'{name} must be {wanted} for derivatives of steps, got {values[name]}'
-    if scene.friction.any():
-        return ('derivatives of steps need friction that builds up over a speed: there is none '
-                'while dry friction sticks')
+    if scene.has_dry_friction:
+        return ('derivatives of steps need friction that builds up over a speed alone: there is '
+                'none while dry friction sticks')
     return ''
 
 

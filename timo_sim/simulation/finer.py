@@ -93,7 +93,7 @@ def choose_parts(scene: Scene) -> tuple[int, ...]:
     inside = any(abs(time / scene.step - round(time / scene.step)) > 1e-6
                  for name, times in scene.values.items() if name.endswith('.time')
                  for time in times)
-    events = scene.friction.any() or scene.values['motor.gear.backlash']
+    events = scene.has_dry_friction or scene.values['motor.gear.backlash']
     tried = PARTS[1:] if inside or events else PARTS
     least = next((parts for parts in tried if _resolves(scene, scene.step / parts)), PARTS[-1])
     return tuple(parts for parts in PARTS if parts >= least)

@@ -100,7 +100,7 @@ class Simulator(PointsOfArm):
 
     def _take(self, scene, model):
         self.scene, self.model = scene, model
-        self.integration = steps_of(self.model, scene.step, scene.friction)
+        self.integration = steps_of(self.model, scene.step, scene.friction, scene.bristles)
         travel = model.tip_travel[3:]
         self._travel = np.zeros(len(model.linear))  # of the tip by each number of the state
         self._travel[len(self._travel) // 2 - len(travel):len(self._travel) // 2] = travel

@@ -16,9 +16,10 @@ from timo_sim.model.formulation import Formulation
 from timo_sim.model.layout import (
     FORCE_I, FORCE_II, FORCE_X, FORCE_Y, LOADS, Motion, place, rotate, TORQUE)
 from timo_sim.scene.scene import Scene
+from timo_sim.steps.bristles import COLUMNS
 from timo_sim.topics.outputs import NANOSECONDS, SENSORS
 
-_FRICTION = [FORCE_X, FORCE_Y, TORQUE]  # columns of a load, by joint
+_COLUMNS = list(COLUMNS)
 # Speed of a joint below which Coulomb friction holds it [m/s, rad/s], doc/theory.md, section 8;
 # most sweeps over the joints that it holds, and their change, relative to it, that is round-off.
 _STILL, _SWEEPS, _SETTLED = 1e-7, 200, 1e-14
@@ -99,17 +100,34 @@ def joints_of_run(scene: Scene, model: Formulation, motions: np.ndarray,
     """
     Return the Joints of sampled motions of a scene, (n, 2 (3 + N)).
 
-    The loads, (n, LOADS), are without dry friction. Where that holds a joint, it is what cancels
-    the joint's acceleration.
+    The loads, (n, LOADS), are without dry friction that sticks. Where that holds a joint, it is
+    what cancels the joint's acceleration.
     """
     limit, states, acting = scene.friction, model.state(motions), loads.copy()
     if limit.any():
-        acting[:, _FRICTION] += _friction(
+        acting[:, _COLUMNS[:3]] += _friction(
             lambda loads, rows: model.accelerations(
                 motions[rows], states[rows], loads)[0] @ model.driven_turns,
             loads, motions[:, motions.shape[1] // 2:] @ model.driven_turns, limit)
     accelerations, tip = model.accelerations(motions, states, acting)
     return Joints(model, motions, accelerations, acting, tip)
+
+
+def add_bristles(scene: Scene, model: Formulation, motions: np.ndarray, loads: np.ndarray) -> None:
+    """
+    Add the friction of bristles in sampled motions from t = 0 on, (n, 2 (3 + N)), to (n, LOADS).
+
+    They follow the joints from sample to sample: a reversal between two samples is seen late.
+    """
+    reach = scene.bristles[:, 2]
+    if not reach.any():
+        return
+    places = motions[:, :motions.shape[1] // 2] @ model.driven_turns
+    places, deflection = np.column_stack([places, motions[:, 2]]), np.zeros(len(reach))
+    for k, way in enumerate(np.diff(places, axis=0), 1):
+        deflection = np.clip(deflection + way, -reach, reach)
+        limit = np.where(deflection > 0.0, *scene.bristles[:, :2].T)
+        loads[k, _COLUMNS] -= limit * deflection / np.where(reach > 0.0, reach, 1.0)
 
 
 def _friction(accelerate, loads, speed, limit):
@@ -118,13 +136,13 @@ def _friction(accelerate, loads, speed, limit):
     friction = np.where(still, 0.0, -limit * np.sign(speed))
     rows = np.flatnonzero(still.any(axis=1))
     loads, room = loads[rows], np.where(still, limit, 0.0)[rows]
-    loads[:, _FRICTION] += friction[rows]
+    loads[:, _COLUMNS[:3]] += friction[rows]
     free = accelerate(loads, rows)
     # Accelerations are linear in a load.
     joints = np.flatnonzero(limit)
     mobility = np.zeros((*free.shape, 3))
     for j in joints:
-        mobility[:, :, j] = accelerate(loads + np.eye(LOADS)[_FRICTION[j]], rows) - free
+        mobility[:, :, j] = accelerate(loads + np.eye(LOADS)[_COLUMNS[j]], rows) - free
     holding = np.zeros_like(free)
     for _ in range(_SWEEPS):
         before = holding.copy()

@@ -4,6 +4,8 @@
 """
 Steps with Coulomb friction of the joints that stick: carrier along world x and y, and shaft.
 
+Friction of joints with presliding is added by `bristles`.
+
 With an elastic gear the third joint is the rotor: the torque on it is the one that loads have.
 
 In each step the friction of a joint is a straight line in time, with a mean R and a slope R' over
@@ -13,7 +15,7 @@ away. No trial depends on earlier steps, so that it does not matter how many ste
 once. Time in a step runs from 0 to 1 here, so that the rate of a speed has its unit.
 """
 
-from typing import Annotated, NamedTuple
+from typing import Annotated, Any, NamedTuple
 
 import numpy as np
 
@@ -22,28 +24,18 @@ from timo_sim.compiled.entry import Call, entry_point
 from timo_sim.compiled.functions import Array, Constants, inner, local, square_root
 from timo_sim.model.formulation import Formulation
 from timo_sim.model.functions import copy, linear_part_is_valid, observe
-from timo_sim.model.layout import AFTER, FORCE_X, FORCE_Y, LOADS, STAGES, STEP_LOADS, TORQUE
+from timo_sim.model.layout import AFTER, LOADS, STAGES, STEP_LOADS
+from timo_sim.steps.bristles import (
+    BristledJoints, Bristles, BRISTLES, COLUMNS, follow, HEAT, Joints, MEMORY)
 from timo_sim.steps.etdrk4 import is_finite, one_step, Work
 from timo_sim.steps.steps import Steps
 
-COLUMNS = FORCE_X, FORCE_Y, TORQUE  # of a load, by joint
-JOINTS = len(COLUMNS)
-_HEAT = JOINTS  # place in `Steps.memory`, after the friction of each joint
+JOINTS = 3  # of `COLUMNS`
 _SAME = 1e-12   # relative change of R treated as converged; speeds then end at zero to round-off
 _STILL = 1e-12  # path treated as rest [m, rad]: what is at rest stays there to the last bit
 _TRIALS = 12    # most trial steps; the first and one for each joint identify the linear model
 _ROUNDS = 30    # most rounds for mean and slope in the linear model
 _SWEEPS = 200   # most sweeps over the joints in `_hold`
-
-
-class Joints(NamedTuple):
-    """Constants of the compiled function."""
-
-    limit: Annotated[np.ndarray, 3]  # of carrier x, y [N] and rotor [N m]; 0: no friction
-    step: float  # [s]
-    # Turn of the rotor per coordinate of an elastic gear, and the coordinate's place in a motion.
-    gear: Annotated[np.ndarray, 'gears']
-    place: int
 
 
 class _Room(NamedTuple):
@@ -57,15 +49,18 @@ class FrictionSteps(Steps):
     """
     Steps of a model with dry friction in its joints.
 
-    `limit` is the largest friction of carrier x, y [N] and shaft [N m], (3,); 0: none. `joints`
-    are the constants `Joints`, packed.
+    `limit` is the largest friction of carrier x, y [N] and shaft [N m] that stick, (3,); 0: none.
+    `bristles` are those of `Joints`, its constants are `joints`, packed.
     """
 
-    def __init__(self, model: Formulation, step: float, limit: np.ndarray) -> None:
+    def __init__(self, model: Formulation, step: float, limit: np.ndarray,
+                 bristles: np.ndarray) -> None:
         super().__init__(model, step)
+        kind: Any = BristledJoints if bristles.any() else Joints
         place = model.gear_place
-        self.joints = pack(Joints(limit, step, model.rotor[[place] * bool(model.gear)], place))
-        self.memory = np.zeros(JOINTS + 1)
+        self.joints = pack(kind(limit, step, model.rotor[[place] * bool(model.gear)], place,
+                                bristles))
+        self.memory = np.zeros(MEMORY)
         self._advance: dict[int, Call] = {}
 
     @property
@@ -75,8 +70,8 @@ class FrictionSteps(Steps):
 
     @property
     def heat(self) -> float:
-        """Heat of Coulomb friction since the initial motion [J]."""
-        return float(self.memory[_HEAT])
+        """Energy that dry friction has taken since the initial motion [J]."""
+        return float(self.memory[HEAT])
 
     def _run(self, part, state, load, loads, samples, since):
         if id(part) not in self._advance:  # the model keeps its parts
@@ -87,14 +82,14 @@ class FrictionSteps(Steps):
     def acting(self, load: np.ndarray) -> np.ndarray:
         """Return a load plus the friction at the end of the last step, shape (LOADS,)."""
         load = load.copy()
-        load[list(COLUMNS)] += self.friction
+        load[list(COLUMNS)] += self.memory[:BRISTLES]
         return load
 
 
-def steps_of(model: Formulation, step: float, friction: np.ndarray | None = None) -> Steps:
-    """Return equal steps [s] of a model, with dry friction up to limits, see FrictionSteps."""
-    if friction is not None and friction.any():
-        return FrictionSteps(model, step, friction)
+def steps_of(model: Formulation, step: float, limit: np.ndarray, bristles: np.ndarray) -> Steps:
+    """Return equal steps [s] of a model, with dry friction if it has any, see FrictionSteps."""
+    if limit.any() or bristles.any():
+        return FrictionSteps(model, step, limit, bristles)
     return Steps(model, step)
 
 
@@ -108,7 +103,7 @@ class Trial(NamedTuple):
     mean: Annotated[np.ndarray, 3]          # R of the friction
     slope: Annotated[np.ndarray, 3]         # R'
     tried: Annotated[np.ndarray, 3]         # R of the trial before
-    end_friction: Annotated[np.ndarray, 3]  # friction at the end of the step
+    end_friction: Annotated[np.ndarray, BRISTLES]  # friction at the end of the step, by column
 
 
 class StepModel(NamedTuple):
@@ -319,12 +314,12 @@ def _add_heat(joints, motion, trial, memory):
     """Add the heat of friction in a step that ends with a motion."""
     rates = len(motion) // 2
     for i in range(JOINTS):
-        memory[_HEAT] -= (
+        memory[HEAT] -= (
             trial.mean[i] * (motion[i] - trial.start[i])
             + trial.slope[i] * joints.step * (motion[rates + i] - trial.speed[i]) / 12.0)
 
 
-@entry_point(tables=Constants(), propagator=Constants(), joints=Constants(), memory=Array((4,)),
+@entry_point(tables=Constants(), propagator=Constants(), joints=Constants(), memory=Array((MEMORY,)),
              state=Array(('state',)), load=Array((LOADS,)),
              loads=Array((None, STEP_LOADS, LOADS)), count=int, sample_every=int, since=int,
              samples=Array((None, 'motion')), heat=Array((None,)))
@@ -333,12 +328,14 @@ def advance(tables, propagator, joints, memory, state, load, loads, count, sampl
     """
     Integrate over a run of equal steps with friction, as `etdrk4.advance` does without.
 
-    `memory` is advanced in place: friction on carrier x, y [N] and shaft [N m] at the end of the
-    last step; its heat [J]. `heat` receives that with each sample.
+    `memory`, see `bristles`, is advanced in place. `heat` receives that with each sample.
     """
     work, trial = local_arrays(Work, propagator), local_arrays(Trial, joints)
     now, following, model = work.now, work.following, local_arrays(StepModel, joints)
     pushed, motion = local_arrays(_Room, tables)
+    bristles = local_arrays(Bristles, tables)
+    for i in range(BRISTLES):
+        trial.end_friction[i] = 0.0
     for i in range(JOINTS):
         for j in range(JOINTS):
             # They stay zero for joints without friction.
@@ -350,13 +347,14 @@ def advance(tables, propagator, joints, memory, state, load, loads, count, sampl
         sampled = sample_every != 0 and (since + k) % sample_every == 0
         if sampled:
             copy(motion, samples[(since + k) // sample_every])
+        acted = follow(joints, tables, motion, k > 0, bristles, memory)
         _turn_rotor(joints, motion)
         if k > 0:
             _add_heat(joints, motion, trial, memory)
         for i in range(JOINTS):
             trial.start[i], trial.speed[i] = motion[i], motion[len(motion) // 2 + i]
         if sampled:
-            heat[(since + k) // sample_every] = memory[_HEAT]
+            heat[(since + k) // sample_every] = memory[HEAT]
         if k == count or k > 0 and not linear_part_is_valid(tables, now, load):
             break
 
@@ -376,7 +374,7 @@ def advance(tables, propagator, joints, memory, state, load, loads, count, sampl
                 if _solve_model(joints, model, trial):
                     break
             _add_friction(loads[k], trial, pushed)
-            one_step(propagator, tables, pushed[0], pushed[1], pushed[2], work)
+            one_step(propagator, acted, pushed[0], pushed[1], pushed[2], work)
             observe(tables, following, pushed[2], motion)
             _turn_rotor(joints, motion)
             sliding = _note_trial(joints, model, trial, number, motion)

@@ -19,6 +19,7 @@ from timo_sim.model.functions import (
     accelerate, effort, energy, linear_part_is_valid, sincos, tanh)
 from timo_sim.model.layout import (
     AFTER, FORCE_I, FORCE_II, FORCE_X, FORCE_Y, LOADS, START, STEP_LOADS, TORQUE)
+from timo_sim.steps.bristles import BRISTLES, COLUMNS, MEMORY
 from timo_sim.steps.loads import add_commands, add_scene_loads, restart
 
 
@@ -55,8 +56,8 @@ class Instance(NamedTuple):
     inputs: Annotated[np.ndarray, LOADS]  # commands
     load: Annotated[np.ndarray, LOADS]    # at the end of the last step
     acting: Annotated[np.ndarray, LOADS]  # the same with dry friction
-    friction: Annotated[np.ndarray, 4]    # of `friction.advance`: what steps hand on
-    friction_before: Annotated[np.ndarray, 4]  # the same before the last step
+    friction: Annotated[np.ndarray, MEMORY]    # of `friction.advance`: what steps hand on
+    friction_before: Annotated[np.ndarray, MEMORY]  # the same before the last step
     heat: Annotated[np.ndarray, 1]        # room for its sample
     error: Annotated[np.ndarray, 1]       # estimated error of the tip [m]
     state: Annotated[np.ndarray, 'state']
@@ -242,9 +243,8 @@ def set_rates(tables, plant, instance):
     state, load, motion = instance.state, instance.acting, instance.motion
     for column in range(LOADS):
         load[column] = instance.load[column]
-    load[FORCE_X] += instance.friction[0]
-    load[FORCE_Y] += instance.friction[1]
-    load[TORQUE] += instance.friction[2]
+    for i in range(BRISTLES):
+        load[COLUMNS[i]] += instance.friction[i]
     x, y = accelerate(tables, plant, motion, state, load, instance.accelerations)
     x, y = x - plant.gravity[0], y - plant.gravity[1]
     sine, cosine = sincos(instance.place[2])
@@ -336,7 +336,7 @@ def get_outputs(instance, count, values):
 # then the state.
 _LIMITS = 4 + 4 * LOADS
 _FRICTION = _LIMITS + 2 * LOADS
-SAVED = _FRICTION + 4
+SAVED = _FRICTION + MEMORY
 
 
 @entry_point(actuators=Constants(), instance=Constants(), values=Array((None,)))
