@@ -432,16 +432,12 @@ target_extension.jit_registry[_AnyProcessor] = _compile_for_numba
 
 
 class _Choice(_Compiler):
-    """
-    The dispatcher of a `Declaration`: it chooses a body by the kind of the first argument.
-
-    That is the kind of packed constants, or a NamedTuple.
-    """
+    """The dispatcher of a `Declaration`: it chooses a body by the kind of the first argument."""
 
     declaration: Declaration
 
     def _body(self, args):
-        kind = getattr(args[0], 'kind', None) or getattr(args[0], 'instance_class', None)
+        kind = getattr(args[0], 'kind', None)
         if kind not in self.declaration.bodies:
             raise TypeError(f'{self.declaration.__name__} has no body for {args[0]}')
         return _compiler_of(self.declaration.bodies[kind])

@@ -22,7 +22,7 @@ from timo_sim.compiled import machine, store
 from timo_sim.model import exact_code, functions, modes, newton
 from timo_sim.scene.scene import load_scene
 from timo_sim.simulation.simulator import Simulator
-from timo_sim.steps import bristles, derivatives, etdrk4, friction, instance, lanes, loads
+from timo_sim.steps import derivatives, etdrk4, friction, instance, lanes, loads
 
 # A carrier and a shaft that move freely, as in the paper; each with the size of its finer run.
 USUAL = [{'model.formulation': formulation, 'model.modes': modes}
@@ -43,8 +43,7 @@ def entries() -> list[tuple[Any, tuple[type, ...]]]:
             (instance.is_valid, (tables, instance.Instance)),
             (instance.set_rates, (tables, *own)), (instance.set_forces, (tables, *own))]
         for step in [(tables, matrices) for matrices in etdrk4.one_step.bodies]:
-            found += [(etdrk4.advance, step), (friction.advance, (*step, bristles.Joints)),
-                      (friction.advance, (*step, bristles.BristledJoints)),
+            found += [(etdrk4.advance, step), (friction.advance, (*step, friction.Joints)),
                       (lanes.advance_alike, (*step, lanes.LaneConstants)),
                       (lanes.advance_each, (*step, lanes.LaneConstants))]
     found.append((derivatives.differentiate,

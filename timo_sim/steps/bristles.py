@@ -2,20 +2,19 @@
 # SPDX-License-Identifier: Apache-2.0
 
 """
-Presliding: dry friction as that of bristles, which bend before a joint slides, (T64) and (T65).
+Presliding: dry friction as that of bristles, which bend before a joint slides (T64).
 
-The deflection z of a bristle follows its joint within +-`reach`, and its force is a function of
-z. Within a step z follows from the joint's place since the start, so that friction is a part of
-the rate at each stage.
+The deflection of a bristle follows its joint within +-`reach`, and its force is a function of it.
+In a step this force is part of the load of the three stages. A joint's place in a step is the
+cubic through place and speed at both ends, of which those at the end are found in rounds (T65).
 """
 
-from typing import Annotated, Any, NamedTuple
+from typing import Annotated, NamedTuple
 
 import numpy as np
 
-from timo_sim.compiled.functions import declare, inner, square_root
-from timo_sim.model.functions import copy, observe, rate
-from timo_sim.model.layout import FORCE_X, FORCE_Y, LOADS, SHAFT_FRICTION, TORQUE
+from timo_sim.compiled.functions import inner, square_root
+from timo_sim.model.layout import FORCE_X, FORCE_Y, SHAFT_FRICTION, STAGES, TORQUE
 
 # Columns of a load, by bristle: of carrier x, y, of the shaft or, with an elastic gear, the rotor,
 # and of the shaft of an elastic gear.
@@ -25,40 +24,17 @@ BRISTLES = len(COLUMNS)
 # taken [J], deflections of bristles.
 HEAT, DEFLECTION = BRISTLES, BRISTLES + 1
 MEMORY = DEFLECTION + BRISTLES
-
-
-class Joints(NamedTuple):
-    """Constants of dry friction: of joints that stick, and of joints with bristles."""
-
-    limit: Annotated[np.ndarray, 3]  # of carrier x, y [N] and rotor [N m]; 0: it does not stick
-    step: float  # [s]
-    # Turn of the rotor per coordinate of an elastic gear, and the coordinate's place in a motion.
-    gear: Annotated[np.ndarray, 'gears']
-    place: int
-    # Friction in forward and in backward motion [N, N m], and reach [m, rad], 0: no bristle.
-    bristles: Annotated[np.ndarray, BRISTLES, 3]
-
-
-class BristledJoints(Joints):
-    """The same, where a joint has a bristle: their kind chooses the code."""
+# Steps that are tried. An odd number of rounds takes energy from vibrations, an even one gives.
+ROUNDS = 3
+FORWARD, BACKWARD, REACH = range(3)  # columns of `Joints.bristles`
 
 
 class Bristles(NamedTuple):
-    """Work arrays of bristles: the start of a step, and room for a stage."""
+    """Work arrays by bristle: joints at the start of a step, and deflections at its stages."""
 
-    start: Annotated[np.ndarray, BRISTLES]       # place of the joint
-    speed: Annotated[np.ndarray, BRISTLES]       # of the joint
-    deflection: Annotated[np.ndarray, BRISTLES]
-    load: Annotated[np.ndarray, LOADS]
-    motion: Annotated[np.ndarray, 'motion']
-
-
-class Bristled(NamedTuple):
-    """What stands for the tables of a model in a step with bristles."""
-
-    tables: Any
-    joints: Any
-    bristles: Any
+    place: Annotated[np.ndarray, BRISTLES]
+    speed: Annotated[np.ndarray, BRISTLES]
+    deflection: Annotated[np.ndarray, STAGES, BRISTLES]
 
 
 @inner
@@ -72,81 +48,97 @@ def _at(joints, motion, number, begin):
 
 
 @inner
+def _limit(joints, number, deflection):
+    return joints.bristles[number, FORWARD if deflection > 0.0 else BACKWARD]
+
+
+@inner
+def _force(joints, number, deflection):
+    """Return the friction of a bristle, against its deflection."""
+    return -_limit(joints, number, deflection) * deflection / joints.bristles[number, REACH]
+
+
+@inner
 def _within(reach, deflection):
     return min(max(deflection, -reach), reach)
 
 
 @inner
-def _limit(joints, number, deflection):
-    return joints.bristles[number, 0] if deflection > 0.0 else joints.bristles[number, 1]
-
-
-@rate.of(Bristled)
-def _rate(bristled, state, load, out):
-    """Write the rate under a load and the friction of bristles (T64)."""
-    joints, bristles = bristled.joints, bristled.bristles
-    observe(bristled.tables, state, load, bristles.motion)
-    copy(load, bristles.load)
-    for i in range(BRISTLES):
-        reach = joints.bristles[i, 2]
-        if reach > 0.0:
-            deflection = _within(reach, bristles.deflection[i]
-                                 + (_at(joints, bristles.motion, i, 0) - bristles.start[i]))
-            bristles.load[COLUMNS[i]] -= _limit(joints, i, deflection) * deflection / reach
-    rate(bristled.tables, state, bristles.load, out)
-
-
-@inner
 def _turn(start_speed, end_speed, way):
     """
-    Return the way to where a joint turns round in a step, 0 if it does not.
+    Return time and way to where a joint turns round in a step, or 0; speeds are per step.
 
-    Its place is the cubic through place and speed at both ends; speeds are per step.
+    The root of the cubic's rate is the one at which the rate changes its sign.
     """
-    found = 0.0
+    time, found = 0.0, 0.0
     if start_speed * end_speed < 0.0:
         second = 3.0 * way - 2.0 * start_speed - end_speed
         third = start_speed + end_speed - 2.0 * way
         root = square_root(max(second * second - 3.0 * third * start_speed, 0.0))
         time = -start_speed / (second - root if start_speed > 0.0 else second + root)
         found = time * (start_speed + time * (second + time * third))
-    return found
+    return time, found
 
 
-@declare
-def follow(joints, tables, motion, moved, bristles, memory):
+@inner
+def guess(joints, bristles):
+    """Set deflections in a step as if speeds stayed."""
+    for i in range(len(joints.bristles)):
+        for j in range(1, STAGES):
+            bristles.deflection[j, i] = _within(
+                joints.bristles[i, REACH],
+                bristles.deflection[0, i] + 0.5 * j * joints.step * bristles.speed[i])
+
+
+@inner
+def add_bristles(joints, bristles, loads):
+    """Add the friction of bristles to the loads of the stages."""
+    for i in range(len(joints.bristles)):
+        if joints.bristles[i, REACH] > 0.0:
+            for j in range(STAGES):
+                loads[j, COLUMNS[i]] += _force(joints, i, bristles.deflection[j, i])
+
+
+@inner
+def bend(joints, motion, bristles):
+    """Set deflections in a step that ends with a motion; return whether they are as before."""
+    same = True
+    for i in range(len(joints.bristles)):
+        reach, start = joints.bristles[i, REACH], bristles.deflection[0, i]
+        if reach > 0.0:
+            speed = joints.step * bristles.speed[i]
+            end_speed = joints.step * _at(joints, motion, i, len(motion) // 2)
+            way = _at(joints, motion, i, 0) - bristles.place[i]
+            time, turn = _turn(speed, end_speed, way)
+            half = 0.5 * way + 0.125 * (speed - end_speed)
+            first = turn if time < 0.5 else 0.0
+            middle = _within(reach, _within(reach, start + first) + (half - first))
+            end = _within(reach, _within(reach, start + turn) + (way - turn))
+            same = same and (middle == bristles.deflection[1, i]
+                             and end == bristles.deflection[2, i])
+            bristles.deflection[1, i], bristles.deflection[2, i] = middle, end
+    return same
+
+
+@inner
+def start_bristles(joints, motion, moved, bristles, memory):
     """
-    Let bristles follow to a motion; return what stands for the tables in a step from there.
+    Begin a step with a motion, by `memory`; if a step has `moved` joints to it, note that first.
 
-    Unless `moved` it is the motion that `memory` belongs to.
+    Bristles take the energy of their slides, by limits of friction, and what their springs hold.
     """
-
-
-@follow.of(Joints)
-def _follow_none(joints, tables, motion, moved, bristles, memory):
-    return tables
-
-
-@follow.of(BristledJoints)
-def _follow(joints, tables, motion, moved, bristles, memory):
-    """Also add friction and the energy that it takes to `memory` (T65)."""
-    for i in range(BRISTLES):
-        reach = joints.bristles[i, 2]
+    for i in range(len(joints.bristles)):
         place, speed = _at(joints, motion, i, 0), _at(joints, motion, i, len(motion) // 2)
-        if moved and reach > 0.0:
-            way = place - bristles.start[i]
-            turn = _turn(joints.step * bristles.speed[i], joints.step * speed, way)
-            before = deflection = bristles.deflection[i]
+        if moved and joints.bristles[i, REACH] > 0.0:
+            start, way = bristles.deflection[0, i], place - bristles.place[i]
+            _, turn = _turn(joints.step * bristles.speed[i], joints.step * speed, way)
+            end = start
             for part in range(2):
-                full = deflection + (way - turn if part else turn)
-                deflection = _within(reach, full)
-                memory[HEAT] += _limit(joints, i, deflection) * abs(full - deflection)
-            # What the springs of the bristle hold is part of the energy.
-            force = _limit(joints, i, deflection) * deflection / reach
-            memory[HEAT] += 0.5 * (
-                force * deflection - _limit(joints, i, before) * before * before / reach)
-            memory[i] -= force
-            memory[DEFLECTION + i] = deflection
-        bristles.start[i], bristles.speed[i] = place, speed
-        bristles.deflection[i] = memory[DEFLECTION + i]
-    return Bristled(tables, joints, bristles)
+                full = end + (way - turn if part else turn)
+                end = _within(joints.bristles[i, REACH], full)
+                memory[HEAT] += _limit(joints, i, end) * abs(full - end)
+            memory[HEAT] += 0.5 * (_force(joints, i, start) * start - _force(joints, i, end) * end)
+            memory[i] += _force(joints, i, end)
+            memory[DEFLECTION + i] = end
+        bristles.place[i], bristles.speed[i] = place, speed
+        bristles.deflection[0, i] = memory[DEFLECTION + i]

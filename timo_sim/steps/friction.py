@@ -4,7 +4,7 @@
 """
 Steps with Coulomb friction of the joints that stick: carrier along world x and y, and shaft.
 
-Friction of joints with presliding is added by `bristles`.
+Joints with presliding have that of `bristles` instead.
 
 With an elastic gear the third joint is the rotor: the torque on it is the one that loads have.
 
@@ -15,7 +15,7 @@ away. No trial depends on earlier steps, so that it does not matter how many ste
 once. Time in a step runs from 0 to 1 here, so that the rate of a speed has its unit.
 """
 
-from typing import Annotated, Any, NamedTuple
+from typing import Annotated, NamedTuple
 
 import numpy as np
 
@@ -26,7 +26,7 @@ from timo_sim.model.formulation import Formulation
 from timo_sim.model.functions import copy, linear_part_is_valid, observe
 from timo_sim.model.layout import AFTER, LOADS, STAGES, STEP_LOADS
 from timo_sim.steps.bristles import (
-    BristledJoints, Bristles, BRISTLES, COLUMNS, follow, HEAT, Joints, MEMORY)
+    add_bristles, bend, Bristles, BRISTLES, COLUMNS, guess, HEAT, MEMORY, ROUNDS, start_bristles)
 from timo_sim.steps.etdrk4 import is_finite, one_step, Work
 from timo_sim.steps.steps import Steps
 
@@ -36,6 +36,20 @@ _STILL = 1e-12  # path treated as rest [m, rad]: what is at rest stays there to 
 _TRIALS = 12    # most trial steps; the first and one for each joint identify the linear model
 _ROUNDS = 30    # most rounds for mean and slope in the linear model
 _SWEEPS = 200   # most sweeps over the joints in `_hold`
+
+
+class Joints(NamedTuple):
+    """Constants of the compiled function."""
+
+    # Friction of carrier x, y [N] and rotor [N m] that sticks; 0: none.
+    limit: Annotated[np.ndarray, 3]
+    step: float  # [s]
+    # Turn of the rotor per coordinate of an elastic gear, and the coordinate's place in a motion.
+    gear: Annotated[np.ndarray, 'gears']
+    place: int
+    # Friction in forward and in backward motion [N, N m], and reach [m, rad], 0 without a bristle,
+    # by column of a load; no rows if no joint has one.
+    bristles: Annotated[np.ndarray, 'bristles', 3]
 
 
 class _Room(NamedTuple):
@@ -56,10 +70,9 @@ class FrictionSteps(Steps):
     def __init__(self, model: Formulation, step: float, limit: np.ndarray,
                  bristles: np.ndarray) -> None:
         super().__init__(model, step)
-        kind: Any = BristledJoints if bristles.any() else Joints
         place = model.gear_place
-        self.joints = pack(kind(limit, step, model.rotor[[place] * bool(model.gear)], place,
-                                bristles))
+        self.joints = pack(Joints(limit, step, model.rotor[[place] * bool(model.gear)], place,
+                                  bristles if bristles.any() else bristles[:0]))
         self.memory = np.zeros(MEMORY)
         self._advance: dict[int, Call] = {}
 
@@ -333,7 +346,7 @@ def advance(tables, propagator, joints, memory, state, load, loads, count, sampl
     work, trial = local_arrays(Work, propagator), local_arrays(Trial, joints)
     now, following, model = work.now, work.following, local_arrays(StepModel, joints)
     pushed, motion = local_arrays(_Room, tables)
-    bristles = local_arrays(Bristles, tables)
+    bristles = local_arrays(Bristles, joints)
     for i in range(BRISTLES):
         trial.end_friction[i] = 0.0
     for i in range(JOINTS):
@@ -347,7 +360,7 @@ def advance(tables, propagator, joints, memory, state, load, loads, count, sampl
         sampled = sample_every != 0 and (since + k) % sample_every == 0
         if sampled:
             copy(motion, samples[(since + k) // sample_every])
-        acted = follow(joints, tables, motion, k > 0, bristles, memory)
+        start_bristles(joints, motion, k > 0, bristles, memory)
         _turn_rotor(joints, motion)
         if k > 0:
             _add_heat(joints, motion, trial, memory)
@@ -373,9 +386,14 @@ def advance(tables, propagator, joints, memory, state, load, loads, count, sampl
                 _fit_model(trial, model)
                 if _solve_model(joints, model, trial):
                     break
-            _add_friction(loads[k], trial, pushed)
-            one_step(propagator, acted, pushed[0], pushed[1], pushed[2], work)
-            observe(tables, following, pushed[2], motion)
+            guess(joints, bristles)
+            for _ in range(ROUNDS):
+                _add_friction(loads[k], trial, pushed)
+                add_bristles(joints, bristles, pushed)
+                one_step(propagator, tables, pushed[0], pushed[1], pushed[2], work)
+                observe(tables, following, pushed[2], motion)
+                if bend(joints, motion, bristles):
+                    break
             _turn_rotor(joints, motion)
             sliding = _note_trial(joints, model, trial, number, motion)
             if number == 0 and sliding:
