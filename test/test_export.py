@@ -43,6 +43,14 @@ SCENES = {
     'sticking': {'motor.coulomb_friction': 0.8, 'carrier.coulomb_friction': 1.0,
                  'initial.shaft_velocity': 0.2, 'carrier.force_limit': 3.0},
     'sticking, one axis held': {'carrier.held': 'y', 'carrier.coulomb_friction': 0.5},
+    'presliding': {'motor.coulomb_friction': 0.8, 'motor.coulomb_presliding': 1e-3,
+                   'motor.coulomb_rest': 0.6, 'motor.coulomb_speed': 0.2,
+                   'carrier.coulomb_friction': 1.0, 'initial.shaft_velocity': 0.2},
+    'presliding behind a gear': {
+        'motor.gear.stiffness': 900.0, 'motor.rotor.inertia': 0.5,
+        'motor.rotor.coulomb_friction': 0.1, 'motor.rotor.coulomb_presliding': 2e-3,
+        'motor.coulomb_friction': 0.2, 'motor.coulomb_presliding': 1e-3,
+        'motor.coulomb_asymmetry': 0.5, 'initial.shaft_velocity': 0.05},
     'newton': {'model.formulation': 'newton', 'initial.shaft_velocity': 2.0},
     'axial': {'model.axial_modes': 1, 'initial.shaft_velocity': 5.0},
     'rigid, with a motor': {
@@ -116,7 +124,8 @@ def compare(scene, folder, calls=30):
             output[:, 10:12], np.array(tips))
 
 
-DERIVED = {*SCENES} - {'sticking', 'sticking, one axis held', 'newton', 'axial', 'sectors', 'gear'}
+DERIVED = {*SCENES} - {'sticking', 'sticking, one axis held', 'presliding',
+                       'presliding behind a gear', 'newton', 'axial', 'sectors', 'gear'}
 
 
 @pytest.mark.parametrize('name', SCENES)

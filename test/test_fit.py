@@ -224,6 +224,21 @@ def test_a_loss_against_outliers():
     assert errors[1] < 0.01 < 3.0 * errors[1] + 0.02 and errors[1] < 0.5 * errors[0]
 
 
+def test_presliding_and_friction_at_rest_are_found():
+    """From noise of 0.1 mm and 0.1 mrad; the squares have no jumps."""
+    truth = {'motor.coulomb_friction': 0.02, 'motor.coulomb_presliding': 0.004,
+             'motor.coulomb_rest': 0.6}
+    scene = {**ARM, **MOTOR, **truth, 'motor.coulomb_speed': 0.3}
+    record = noisy(predicted(scene, {'voltage': (T, VOLTAGE)}, ['shaft', 'tip_transverse']),
+                   {'shaft': 1e-4, 'tip_transverse': 1e-4})
+    guess = timo_sim.load_scene(scene, {
+        'motor.coulomb_friction': 0.03, 'motor.coulomb_presliding': 0.002,
+        'motor.coulomb_rest': 0.8})
+    found = timo_sim.fit(guess, record, list(truth))
+    assert found.values == pytest.approx(truth, rel=0.01)  # measured: 0.001
+    assert not any('in jumps' in each for each in found.warnings)
+
+
 def test_windows_need_no_initial_state():
     """The record begins in motion, of which the scene knows nothing, and has dry friction."""
     scene = {**ARM, **MOTOR, 'motor.coulomb_friction': 0.02}

@@ -240,9 +240,11 @@ def test_a_log_gives_the_same_bits_and_a_falsified_one_does_not(log, tmp_path):
     assert 'joint_states carrier_x_m' in text
 
 
-def test_a_carrier_that_was_set_is_set_again_also_beside_a_reset(tmp_path):
+@pytest.mark.parametrize('presliding', [0.0, 0.003])
+def test_a_carrier_that_was_set_is_set_again_also_beside_a_reset(presliding, tmp_path):
     """The simulator is driven as by the node; the log notes when the carrier was set."""
-    scene = timo_sim.load_scene({'initial.shaft_velocity': 2.0, 'carrier.coulomb_friction': 5.0})
+    scene = timo_sim.load_scene({'initial.shaft_velocity': 2.0, 'carrier.coulomb_friction': 5.0,
+                                 'carrier.coulomb_presliding': presliding})
     simulator, log = timo_sim.Simulator(scene), NewLog(
         tmp_path / 'set.mcap', scene, {name: rule.default for name, rule in PARAMETERS.items()}
         | dict(scene.values))

@@ -120,8 +120,13 @@ def test_small_motions_are_those_of_a_spring(formulation):
     omega = math.sqrt(LIMIT / REACH / inertia_of(scene))
     wanted = 0.03 / omega * np.sin(omega * run.t)
     assert 0.03 / omega < 0.8 * REACH
-    # The error of a step is (omega h)^5 / 120 of the motion: 2e-11 of 0.008 rad in 4000 steps.
-    np.testing.assert_allclose(run.shaft, wanted, rtol=0.0, atol=1e-9)
+    # Measured: 7e-10 rad, and the order.
+    np.testing.assert_allclose(run.shaft, wanted, rtol=0.0, atol=2e-9)
+    steps = [0.08, 0.04, 0.02]
+    errors = [np.abs(timo_sim.simulate(
+        scene.vary({'integrator.step': step}), 20.0, sample_every=round(0.08 / step),
+        estimate=False).shaft - wanted[::16]).max() for step in steps]
+    assert 3.9 < order(steps, errors) < 4.1
     spring = 0.5 * LIMIT / REACH * run.shaft**2  # no heat
     np.testing.assert_allclose(run.friction_heat, spring, rtol=0.0, atol=1e-15)
 
@@ -180,7 +185,7 @@ def test_all_joints_follow_an_integration_that_stops_at_each_event(more):
         more.get('carrier.held') and name.startswith('initial.carrier'))}
     scene = timo_sim.load_scene({
         'arm.damping_ratio': [0.02], **SHAKEN, **start, **more})
-    times, steps, errors = np.arange(0.0, 1.001, 0.02), [0.004, 0.002, 0.001, 0.0005], []
+    times, steps, errors = np.arange(0.0, 1.001, 0.02), [0.004, 0.002, 0.001, 0.0005, 0.00025], []
     truth = by_events_of_scene(scene, 1.0, times)
     slides = np.abs(np.diff(truth[:, 0 if 'carrier.held' not in more else 2])).sum()
     assert slides > 5.0 * REACH
@@ -188,8 +193,8 @@ def test_all_joints_follow_an_integration_that_stops_at_each_event(more):
         run = timo_sim.simulate(scene.vary({'integrator.step': step}), 1.0,
                                 sample_every=round(0.02 / step), estimate=False)
         errors.append(np.abs(run.values - truth)[:, :3].max())
-    print(errors, order(steps, errors))
-    assert errors[-1] < 1e-6 and order(steps, errors) > 1.8
+    # Events fall anywhere in their steps: errors are 0.005 to 0.13 h^2.
+    assert np.all(errors < 0.25 * np.square(steps))
 
 
 def test_with_little_presliding_it_is_friction_that_sticks():
@@ -216,7 +221,6 @@ def test_it_may_be_beside_friction_that_sticks():
     runs = [timo_sim.simulate(each, 2.0, estimate=False) for each in (held, stuck)]
     # The carrier may give way by less than 1e-12 m in a step.
     assert np.ptp(runs[0].shaft) > 5.0 * REACH
-    print(np.abs(runs[0].values - runs[1].values)[:, 2].max())
     assert np.abs(runs[0].shaft - runs[1].shaft).max() < 1e-9
 
 
@@ -235,8 +239,8 @@ def test_energy_and_what_friction_takes_are_the_work_of_the_loads(more):
             model.dissipation(motions)[1:] + model.dissipation(motions)[:-1])))
         errors.append(np.abs(energy - energy[0] + heat + damped - work).max())
         assert heat[-1] == simulator.integration.heat > 0.3
-    print(errors, order(steps, errors))
-    assert errors[-1] < 1e-5 and order(steps, errors) > 1.8
+    # Measured: 0.15 to 0.35 h^2, in J/s^2.
+    assert np.all(errors < 0.7 * np.square(steps))
 
 
 def test_a_view_closes_the_balance():
@@ -275,11 +279,14 @@ def test_steps_too_long_for_the_spring_are_refused(scene):
     step, factor = map(float, re.search('most (.*) s for .* coulomb_presliding (.*) times', str(
         caught.value)).groups())
     timo_sim.load_scene({**stiff, 'motor.coulomb_presliding': 1e-8 * 1.01 * factor})
-    # At the limit it swings without a gain of energy.
+    # At the limit it swings without a gain of energy, and a rigid arm with the loss of (T65).
     run = timo_sim.simulate(timo_sim.load_scene({
-        **stiff, 'integrator.step': step, 'initial.shaft_velocity': 1e-6,
-        **{name: 0.0 for name in scene if 'velocity' in name}}), 2000 * step, estimate=False)
-    assert np.all(run.energy() + run.friction_heat <= 1.001 * run.energy()[0])
+        **stiff, 'integrator.step': step, **{name: 0.0 for name in scene if 'velocity' in name},
+        'initial.shaft_velocity': 1e-6}), 2000 * step, estimate=False)
+    energy = (run.energy() + run.friction_heat) / run.energy()[0]
+    assert np.all(energy < 1.001)
+    if scene == RIGID:  # of amplitude 2.2e-5 a step at the limit, the step is 0.99 of it
+        assert -np.log(energy[-1]) / 2.0 / 2000.0 == pytest.approx(0.99**9 * 2.2e-5, rel=0.02)
 
 
 @pytest.mark.parametrize('values, told', [

@@ -147,7 +147,7 @@ class Scene:
     @cached_property
     def bristles(self) -> np.ndarray:
         """
-        Dry friction with presliding, see `steps.bristles.Joints`, shape (4, 3).
+        Dry friction with presliding, see `steps.friction.Joints`, shape (4, 3).
 
         Rows are of carrier x, y, of the shaft or, with an elastic gear, the rotor, and of the
         shaft of an elastic gear; 0 for joints without. Columns are friction in forward and in
@@ -186,8 +186,9 @@ class Scene:
         """
         Return the scene that begins with the state of a run of the same bodies at a sample, t [s].
 
-        The scene's own loads start again from t = 0. Raises ParameterError if the run has no
-        sample then or other modes, or the scene has a driven shaft.
+        The scene's own loads start again from t = 0, and springs of presliding are relaxed. Raises
+        ParameterError if the run has no sample then or other modes, or the scene has a driven
+        shaft.
 
         >>> import timo_sim
         >>> scene = timo_sim.load_scene('paper')

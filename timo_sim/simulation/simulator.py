@@ -388,7 +388,7 @@ class Simulator(PointsOfArm):
         motions : ndarray, shape (1 + count // sample_every, 2 (3 + N))
             At the start and after each `sample_every` steps; with sample_every = 0 empty.
         heat : ndarray, shape (1 + count // sample_every,)
-            Heat of dry friction since the initial motion, at the samples [J].
+            Energy that dry friction has taken since the initial motion, at the samples [J].
 
         Raises
         ------

@@ -332,8 +332,8 @@ def _add_heat(joints, motion, trial, memory):
             + trial.slope[i] * joints.step * (motion[rates + i] - trial.speed[i]) / 12.0)
 
 
-@entry_point(tables=Constants(), propagator=Constants(), joints=Constants(), memory=Array((MEMORY,)),
-             state=Array(('state',)), load=Array((LOADS,)),
+@entry_point(tables=Constants(), propagator=Constants(), joints=Constants(),
+             memory=Array((MEMORY,)), state=Array(('state',)), load=Array((LOADS,)),
              loads=Array((None, STEP_LOADS, LOADS)), count=int, sample_every=int, since=int,
              samples=Array((None, 'motion')), heat=Array((None,)))
 def advance(tables, propagator, joints, memory, state, load, loads, count, sample_every, since,

@@ -24,11 +24,11 @@ def matrices_of(linear: np.ndarray, step: float) -> NamedTuple:
 
 
 class Samples(NamedTuple):
-    """Motions at equal distances in time, and the heat of friction until then; filled by steps."""
+    """Motions at equal distances in time, and what friction took until then; filled by steps."""
 
     every: int           # steps between samples; 0: none are taken
     motions: np.ndarray  # at the start and after each `every` steps, (n, 2 (3 + N))
-    heat: np.ndarray     # of dry friction since the initial motion [J], (n,)
+    heat: np.ndarray     # energy that dry friction has taken since the initial motion [J], (n,)
 
 
 class LinearPart(NamedTuple):
@@ -60,7 +60,7 @@ class Steps:
 
     @property
     def heat(self) -> float:
-        """Heat of dry friction since the initial motion [J]."""
+        """Energy that dry friction has taken since the initial motion [J]."""
         return 0.0
 
     def acting(self, load: np.ndarray) -> np.ndarray:
