@@ -14,6 +14,7 @@ from scipy.optimize import brentq
 import timo_sim
 from timo_sim.model.layout import FORCE_X, FORCE_Y, LOADS, TORQUE
 from timo_sim.simulation.simulator import Simulator
+from timo_sim.steps.bristles import HEAT
 from timo_sim.view.track import track_of_run
 
 # The paper's manipulator with a rigid arm: mass of all, static moment and inertia about the shaft.
@@ -97,7 +98,7 @@ def test_loads_below_the_limits_of_friction_move_no_joint(formulation, modes):
     # To the last bit; coordinates that are 0 have round-off, measured 3e-17 and 2e-17.
     np.testing.assert_array_equal(motions[:, [0, 2]], np.tile(start[[0, 2]], (10001, 1)))
     np.testing.assert_allclose(motions, np.tile(start, (10001, 1)), rtol=0.0, atol=1e-15)
-    np.testing.assert_allclose(simulator.integration.friction, -pushes, rtol=1e-11)
+    np.testing.assert_allclose(simulator.integration.memory[:3], -pushes, rtol=1e-11)
 
 
 def stick_slip(torque, frequency, limit, times):
@@ -211,7 +212,7 @@ def test_energy_and_heat_are_the_work_of_the_loads():
         energy = simulator.model.energy(motions)
         work = (motions[:, :3] - motions[0, :3]) @ PUSHES
         errors.append(np.abs(energy - energy[0] + heat - work).max())
-        assert heat[-1] == simulator.integration.heat > 0.8
+        assert heat[-1] == simulator.integration.memory[HEAT] > 0.8
     # Events do not lower the integrator's order; measured: 2e-7 J of 1.7 J at 2.5 ms.
     assert errors[-1] < 1e-6 and order(steps, errors) > 3.8
 
@@ -223,7 +224,7 @@ def test_each_step_obeys_the_law():
     for _ in range(800):
         simulator.advance(1, loaded(PUSHES))
         before, after = after, simulator.motion.values[6:9]
-        r = simulator.integration.friction
+        r = simulator.integration.memory[:3].copy()
         # Joints that are about to break away may have 1e-6 rad/s; those that slide have 0.1.
         rests, came = np.abs(after) < 1e-5, np.abs(before) < 1e-5
         slides = (before * after > 0.0) & ~rests & ~came

@@ -238,7 +238,7 @@ def test_energy_and_what_friction_takes_are_the_work_of_the_loads(more):
         damped = np.append(0.0, np.cumsum(0.5 * step * (
             model.dissipation(motions)[1:] + model.dissipation(motions)[:-1])))
         errors.append(np.abs(energy - energy[0] + heat + damped - work).max())
-        assert heat[-1] == simulator.integration.heat > 0.3
+        assert heat[-1] > 0.3
     # Measured: 0.15 to 0.35 h^2, in J/s^2.
     assert np.all(errors < 0.7 * np.square(steps))
 

@@ -172,8 +172,7 @@ def accelerate(tables, flow, motion, state, load, accelerations):
         sign = time if k else -time
         for i in range(size):
             moved[i] = state[i] + sign * slope[i]
-        for column in range(LOADS):
-            drift[column] = load[column]
+        copy(load, drift)
         drift[ANGLE] += sign * load[SPEED]
         drift[SPEED] += sign * load[ACCELERATION]
         observe(tables, moved, drift, room.motion)

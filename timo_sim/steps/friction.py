@@ -76,16 +76,6 @@ class FrictionSteps(Steps):
         self.memory = np.zeros(MEMORY)
         self._advance: dict[int, Call] = {}
 
-    @property
-    def friction(self) -> np.ndarray:
-        """Friction on carrier x, y [N], shaft [N m] at the end of the last step, shape (3,)."""
-        return self.memory[:JOINTS].copy()
-
-    @property
-    def heat(self) -> float:
-        """Energy that dry friction has taken since the initial motion [J]."""
-        return float(self.memory[HEAT])
-
     def _run(self, part, state, load, loads, samples, since):
         if id(part) not in self._advance:  # the model keeps its parts
             self._advance[id(part)] = advance.of(*part.constants, self.joints)

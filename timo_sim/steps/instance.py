@@ -16,7 +16,7 @@ import numpy as np
 from timo_sim.compiled.entry import entry_point
 from timo_sim.compiled.functions import Array, Constants, floor, square_root, strict, WIDTH
 from timo_sim.model.functions import (
-    accelerate, effort, energy, linear_part_is_valid, sincos, tanh)
+    accelerate, copy, effort, energy, linear_part_is_valid, sincos, tanh)
 from timo_sim.model.layout import (
     AFTER, FORCE_I, FORCE_II, FORCE_X, FORCE_Y, LOADS, START, STEP_LOADS, TORQUE)
 from timo_sim.steps.bristles import BRISTLES, COLUMNS, MEMORY
@@ -108,9 +108,8 @@ def reset(plant, actuators, instance):
     actuators.since[0] = 0
     for k in range(LOADS):
         instance.inputs[k] = actuators.goal[k] = actuators.origin[k] = 0.0
-        instance.load[k] = plant.first_load[k]
-    for k in range(len(instance.state)):
-        instance.state[k] = plant.start[k]
+    copy(plant.first_load, instance.load)
+    copy(plant.start, instance.state)
     for k in range(len(instance.friction)):
         instance.friction[k] = 0.0
     return _OK
@@ -177,10 +176,8 @@ def prepare(loads, actuators, instance, inputs):
         loads.step, loads.harmonics, len(loads.harmonics), loads.tables, len(loads.tables),
         loads.knots, loads.drive, len(loads.drive), number, 1, out, instance.sines)
     add_commands(actuators, inputs, number, 1, out)
-    for k in range(len(instance.state)):
-        instance.before[k] = instance.state[k]
-    for k in range(len(instance.friction)):
-        instance.friction_before[k] = instance.friction[k]
+    copy(instance.state, instance.before)
+    copy(instance.friction, instance.friction_before)
     return _OK
 
 
@@ -192,15 +189,12 @@ def finish(plant, instance, done):
         coordinate = instance.state[half - len(plant.travel) + k]
         bend += max(coordinate, -coordinate) * plant.travel[k]
     if done != 1 or not bend <= plant.most_bent:
-        for k in range(len(instance.state)):
-            instance.state[k] = instance.before[k]
-        for k in range(len(instance.friction)):
-            instance.friction[k] = instance.friction_before[k]
+        copy(instance.before, instance.state)
+        copy(instance.friction_before, instance.friction)
         return _DIVERGED
     instance.mark[STEPS] += 1
     instance.mark[KNOWN] = 0
-    for k in range(LOADS):
-        instance.load[k] = instance.loads[0, AFTER, k]
+    copy(instance.loads[0, AFTER], instance.load)
     return _OK
 
 
@@ -241,8 +235,7 @@ FORCES, MODAL = 13, 20
 def set_rates(tables, plant, instance):
     """Write the accelerations, and the specific force at the tip to the outputs."""
     state, load, motion = instance.state, instance.acting, instance.motion
-    for column in range(LOADS):
-        load[column] = instance.load[column]
+    copy(instance.load, load)
     for i in range(BRISTLES):
         load[COLUMNS[i]] += instance.friction[i]
     x, y = accelerate(tables, plant, motion, state, load, instance.accelerations)

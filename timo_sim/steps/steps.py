@@ -53,16 +53,6 @@ class Steps:
         self._parts = model.linear_parts(step)
         self._no_samples = Samples(0, np.empty((0, model.size)), np.zeros(0))
 
-    @property
-    def friction(self) -> np.ndarray:
-        """Dry friction on carrier x, y [N], shaft [N m] at the end of the last step, (3,)."""
-        return np.zeros(3)
-
-    @property
-    def heat(self) -> float:
-        """Energy that dry friction has taken since the initial motion [J]."""
-        return 0.0
-
     def acting(self, load: np.ndarray) -> np.ndarray:
         """Return a load plus the dry friction at the end of the last step, shape (LOADS,)."""
         return load
