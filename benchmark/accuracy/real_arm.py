@@ -38,16 +38,20 @@ FACTOR = 10.0  # to which a first guess is right
 SCORES = ROOT / 'doc' / 'real_arm' / 'scores.json'
 
 ARM = ['arm.young_modulus', 'arm.damping_ratio']
-SHAFT = ['motor.shaft_inertia', 'motor.viscous_friction', 'motor.coulomb_friction',
-         'motor.coulomb_speed', 'motor.coulomb_asymmetry']
+FRICTION = ['viscous_friction', 'coulomb_friction', 'coulomb_speed', 'coulomb_asymmetry',
+            'coulomb_presliding', 'coulomb_rest']
+SHAFT = ['motor.shaft_inertia', *(f'motor.{name}' for name in FRICTION)]
+ROTOR = ['motor.rotor.inertia', *(f'motor.rotor.{name}' for name in FRICTION)]
 DRIVES = {  # what is free for each kind of input
-    'voltage': [*SHAFT, 'motor.dc.torque_constant', 'initial.shaft', 'voltage.delay'],
-    'torque': [*SHAFT, 'torque.gain', 'initial.shaft', 'torque.delay'],
-    'force_x': ['carrier.viscous_friction', 'carrier.coulomb_friction', 'carrier.coulomb_speed',
-                'force_x.gain', 'gravity[0]']}
+    'voltage': [*SHAFT, 'motor.dc.torque_constant', 'initial.shaft', 'voltage.gain',
+                'voltage.delay', 'voltage.lag'],
+    'torque': [*SHAFT, 'torque.gain', 'initial.shaft', 'torque.delay', 'torque.lag'],
+    'force_x': [*(f'carrier.{name}' for name in FRICTION), 'force_x.gain', 'force_x.lag',
+                'gravity[0]']}
 GEAR = ['motor.gear.stiffness', 'motor.gear.damping', 'motor.gear.backlash']
-ROTOR = ['motor.rotor.inertia', 'motor.rotor.viscous_friction', 'motor.rotor.coulomb_friction',
-         'motor.rotor.coulomb_speed', 'motor.rotor.coulomb_asymmetry']
+PRESLIDING, REST = ('coulomb_presliding', 'coulomb_rest'), 0.5
+TIME = 0.2  # presliding begins at coulomb_speed times this [s]
+MODELS = 'rigid gear', 'rigid gear, presliding', 'elastic gear', 'elastic gear, presliding'
 INITIAL = 'initial.modal_coordinates[0]', 'initial.modal_rates[0]'
 
 
@@ -73,7 +77,7 @@ CASES = [
          'boulder_6.yaml', 'boulder.yaml', gear=48.4),
     Case('boulder_angle', 'Boulder, unit 6, from its shaft on',
          'ASEN2003/Lab 6: Rotary Arm/4PM_Group37_FlexArm_Unit6', 'boulder_angle.yaml',
-         'boulder.yaml', more=INITIAL),
+         'boulder.yaml'),
     Case('boulder_other', 'Boulder, another group',
          'Control-Systems-Rotary-Control/flexibleArm_test_3', 'boulder_other.yaml',
          'boulder.yaml', gear=48.4,
@@ -86,14 +90,12 @@ CASES = [
                               'delft_chirp45.yaml')),
     Case('bratislava', 'Bratislava', 'AutomationShield/matlab/examples/LinkShield/resultID.mat',
          'bratislava_columns.yaml', 'bratislava.yaml',
-         more=INITIAL,
          fixed=('tip_acceleration.gain', 'tip_acceleration.delay', 'tip_acceleration.lag'),
          step=0.006),
     Case('lisbon', 'Lisbon', 'FlexibleArmControl/LabData/Lab3Data/3_lab_a00_f00_repeating.mat',
-         'lisbon_columns.yaml', 'lisbon.yaml', more=('voltage.gain',), gear=70.0),
+         'lisbon_columns.yaml', 'lisbon.yaml', gear=70.0),
     Case('lisbon_2017', 'Lisbon, another unit', 'computer-control/model_identification/code/'
-         'responses_files/scope_data_PRBS.mat', 'lisbon_2017.yaml', 'lisbon.yaml',
-         more=('voltage.gain',), gear=70.0),
+         'responses_files/scope_data_PRBS.mat', 'lisbon_2017.yaml', 'lisbon.yaml', gear=70.0),
     Case('lausanne', 'Lausanne',
          'ModelingAndControlOfFlexibleLink/Imgs/Controller/ControllerHinfMediumData.mat',
          'lausanne_columns.yaml', 'lausanne.yaml',
@@ -101,7 +103,7 @@ CASES = [
     Case('boulder_7', 'Boulder, unit 7', 'ASEN2003/Lab 6: Rotary Arm/Unit7_Flex_trial1.csv',
          'boulder_7_columns.yaml', 'boulder_7.yaml', gear=48.4),
     Case('boulder_april', 'Boulder, ringing', 'ASEN2003/Lab 6: Rotary Arm/flexarm_K1K2_6_-5',
-         'boulder_april_columns.yaml', 'boulder_april.yaml', more=INITIAL, gear=48.4),
+         'boulder_april_columns.yaml', 'boulder_april.yaml', gear=48.4),
 ]
 
 
@@ -113,18 +115,29 @@ def models_of(case, scene, record, until):
     """
     drive, tip = next(iter(record.inputs), ''), list(record.outputs)[-1]
     sensor = [f'{tip}.{kind}' for kind in ('gain', 'bias', 'delay', 'lag')]
+    # A bias is not known of another record; one direction shows no asymmetry.
+    hidden = ('.bias',) if case.other else ()
+    hidden += () if goes_back(record, until) else ('asymmetry',)
 
     def free(driven):
-        # A bias is not known of another record; one direction shows no asymmetry.
-        hidden = ('.bias',) if case.other else ()
-        hidden += () if goes_back(record, until) else ('asymmetry',)
-        return [name for name in (*ARM, *driven, *sensor, *case.more)
+        return [name for name in (*ARM, *driven, *sensor, *INITIAL, *case.more)
                 if name not in case.fixed and not name.endswith(hidden)]
 
-    models = {'rigid gear': ({}, free(DRIVES.get(drive, [])))}
+    driven = DRIVES.get(drive, [])
+    gears = {'rigid gear': ({}, free(driven))}
     if case.gear:
-        models['elastic gear'] = (with_rotor(scene, case.gear), free(
-            [*ROTOR, *GEAR, *(name for name in DRIVES[drive] if name not in SHAFT)]))
+        gears['elastic gear'] = (with_rotor(scene, case.gear), free(
+            [*ROTOR, *GEAR, *(name for name in driven if name not in SHAFT)]))
+    models = {}
+    for name, (values, names) in gears.items():
+        models[name] = values, [each for each in names if not each.endswith(PRESLIDING)]
+        if len(models[name][1]) < len(names):
+            start = scene.vary(values).values
+            body, = {each.removesuffix('.coulomb_rest') for each in names
+                     if each.endswith('.coulomb_rest')}
+            models[f'{name}, presliding'] = {
+                **values, f'{body}.coulomb_rest': REST,
+                f'{body}.coulomb_presliding': TIME * start[f'{body}.coulomb_speed']}, names
     return models
 
 
@@ -162,6 +175,9 @@ def bounds_of(names, scene):
     """Return bounds by name: delays are not early, and a first guess is right to FACTOR."""
     found = {name: DELAYS for name in names if name.endswith('.delay')}
     for name in names:
+        if name.endswith('.coulomb_rest'):
+            found[name] = 0.01, 1.0
+            continue
         guess = 1.0 if name.endswith('.gain') else scene.values.get(name, 0.0)
         guess = guess[0] if isinstance(guess, tuple) else guess
         if guess > 0.0 and not name.startswith('initial.'):
@@ -374,8 +390,9 @@ def missing(quick):
     cases, rows = {case.name: case for case in CASES}, []
     for name, (*_, trials) in json.loads(SCORES.read_text(encoding='utf-8')).items():
         outputs = next(iter(trials.values()), {})
-        rows += [[cases[name].lab, output, *(in_words(trial[output]) for trial in trials.values())]
-                 for output in outputs]
+        rows += [[cases[name].lab, output, *(
+            in_words(trials[model][output]) if model in trials else '' for model in MODELS)]
+            for output in outputs]
     ringing = read(cases['bratislava'].record, cases['bratislava'].columns).outputs
     t, values, *_ = ringing['tip_acceleration']
     up = np.flatnonzero((values[:-1] < 0.0) & (values[1:] >= 0.0))
@@ -389,7 +406,7 @@ def missing(quick):
              for name, step in steps.items()}
     rest, motion = friction(read(cases['prague'].record, cases['prague'].columns))
     return '\n\n'.join([
-        table(['choice of the model', 'R^2 of', 'rigid gear', 'elastic gear'], rows),
+        table(['choice of the model', 'R^2 of', *MODELS], rows),
         f'Prague: the shaft rests under torques of up to {rest:.1f} N m; dry friction in motion, '
         f'faster than 0.5 rad/s, takes {motion:.1f} N m. '
         f'Delft: the laser jumps by more than 4 mm in 1 ms {len(jumps)} times, mostly '
