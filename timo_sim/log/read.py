@@ -9,7 +9,6 @@ fixed limits before anything is read.
 """
 
 from collections.abc import Iterator
-from dataclasses import replace
 import fcntl
 from io import BytesIO
 import json
@@ -32,28 +31,22 @@ from mcap.writer import MCAP0_MAGIC
 import zstandard
 
 from timo_sim.log.write import (
-    CHANGE, Chunk, CHUNK_SIZE, HEAD, in_wall_time, MESSAGE_OPCODE, numbered, printable, RESET,
-    START, SUMMARY, sync, Writer)
+    CHANGE, Chunk, CHUNK_SIZE, HEAD, in_wall_time, MESSAGE, MESSAGE_OPCODE, numbered, printable,
+    RESET, START, SUMMARY, sync, Writer)
 from timo_sim.scene.files import whole_file
 
 _LARGEST_CHUNK = 64 * 1024 * 1024      # [B] uncompressed
 _LARGEST_RECORD = _LARGEST_CHUNK + 1024 * 1024
 _LARGEST_SUMMARY = 512 * 1024 * 1024   # [B], about that of a log of a month
 _FOOTER = struct.Struct('<BQQQI8s')    # opcode, length, places of summary and offsets, CRC, magic
-_MESSAGE = struct.Struct('<HIQQ')      # channel, sequence number, log time, publish time
 # What mcap and the decompressors raise for bytes that they cannot read.
 _UNREADABLE = (McapError, ValueError, OverflowError, RuntimeError, EOFError, LookupError,
                struct.error, zstandard.ZstdError)
-_COPIED = {Opcode.SCHEMA: Schema, Opcode.CHANNEL: Channel, Opcode.METADATA: Metadata}
 _CHUNK_OPCODE, _FIRST_PRIVATE_OPCODE = int(Opcode.CHUNK), 0x80
 
 
 class LogError(ValueError):
     """A log that cannot be read, or a file that cannot be written; the text says which and why."""
-
-
-class _DamageError(ValueError):
-    """Bytes of a log that cannot be read; the text says why."""
 
 
 def files_of(path: Path | str) -> list[Path]:
@@ -116,79 +109,54 @@ def _is_being_written(stream):
     return False
 
 
-def _parse(kind, content):
-    """Return a record of mcap."""
-    try:
-        return kind.read(ReadDataStream(BytesIO(content)))
-    except _UNREADABLE:
-        raise _DamageError(f'a record of kind {kind.__name__.lower()} is malformed') from None
-
-
 def _decompress(chunk):
-    """Return the data of a Chunk of mcap; raise _DamageError if size or checksum are wrong."""
+    """Return the data of a Chunk of mcap; raise ValueError if size or checksum are wrong."""
     size = chunk.uncompressed_size
     if size > _LARGEST_CHUNK:
-        raise _DamageError(f'a chunk claims to hold {size} bytes, more than {_LARGEST_CHUNK}')
-    try:
-        # One byte more than the chunk states, to find out if it has more.
-        if chunk.compression == 'lz4':
-            data = lz4.frame.LZ4FrameDecompressor().decompress(chunk.data, size + 1)
-        elif chunk.compression == 'zstd':
-            decompressor = zstandard.ZstdDecompressor(max_window_size=_LARGEST_CHUNK)
-            data = decompressor.stream_reader(chunk.data).read(size + 1)
-        elif chunk.compression:
-            raise ValueError(f'its compression is {chunk.compression[:20]!r}')
-        else:
-            data = chunk.data
-    except _UNREADABLE as error:
-        raise _DamageError(f'a chunk cannot be read: {error}') from None
+        raise ValueError(f'a chunk claims to hold {size} bytes, more than {_LARGEST_CHUNK}')
+    # One byte more than the chunk states, to find out if it has more.
+    if chunk.compression == 'lz4':
+        data = lz4.frame.LZ4FrameDecompressor().decompress(chunk.data, size + 1)
+    elif chunk.compression == 'zstd':
+        decompressor = zstandard.ZstdDecompressor(max_window_size=_LARGEST_CHUNK)
+        data = decompressor.stream_reader(chunk.data).read(size + 1)
+    elif chunk.compression:
+        raise ValueError(f'the compression of a chunk is {chunk.compression[:20]!r}')
+    else:
+        data = chunk.data
     if len(data) != size:
-        raise _DamageError(f'a chunk does not have the {size} bytes that it states')
+        raise ValueError(f'a chunk does not have the {size} bytes that it states')
     if chunk.uncompressed_crc and zlib.crc32(data) != chunk.uncompressed_crc:
-        raise _DamageError('the checksum of a chunk is wrong')
+        raise ValueError('the checksum of a chunk is wrong')
     return data
 
 
-def _split(data):
-    """Return opcode and content of each record in the data of a chunk."""
-    found, place = [], 0
-    while place < len(data):
-        opcode, length = HEAD.unpack_from(data, place)
-        begin, place = place + HEAD.size, place + HEAD.size + length
-        if place > len(data) or opcode == _CHUNK_OPCODE:
-            raise struct.error
-        found.append((opcode, data[begin:place]))
-    return found
-
-
 def _read_summary(stream: BinaryIO) -> Summary:
-    """Return the summary of a log; raise _DamageError if it is missing or damaged."""
+    """Return the summary of a log; raise one of _UNREADABLE if it is missing or damaged."""
     size = stream.seek(0, os.SEEK_END)
     stream.seek(max(0, size - _FOOTER.size))
     end = stream.read(_FOOTER.size)
     if len(end) < _FOOTER.size or not end.endswith(MCAP0_MAGIC) or end[0] != Opcode.FOOTER:
-        raise _DamageError('it has no end: its process died, or another tool still writes it')
+        raise ValueError('it has no end: its process died, or another tool still writes it')
     _, _, place, _, crc, _ = _FOOTER.unpack(end)
     if not place or not _FOOTER.size < size - place <= _LARGEST_SUMMARY:
-        raise _DamageError('there is no summary')
+        raise ValueError('there is no summary')
     stream.seek(place)
     # The checksum covers all but itself and the magic.
     if crc and zlib.crc32(memoryview(stream.read(size - place))[:-12]) != crc:
-        raise _DamageError('the checksum of the summary is wrong')
-    stream.seek(0)
-    try:
-        found = SeekingReader(stream, record_size_limit=_LARGEST_RECORD).get_summary()
-    except _UNREADABLE as error:
-        raise _DamageError(f'its index is damaged: {error}') from None
-    if not found or not found.statistics:
-        raise _DamageError('there are no statistics')
-    for kind, there, count in (
-            ('schema', found.schemas, found.statistics.schema_count),
-            ('channel', found.channels, found.statistics.channel_count),
-            ('metadata', found.metadata_indexes, found.statistics.metadata_count)):
-        if len(there) < count:
-            raise _DamageError(f'its summary has {len(there)} of {count} records of kind {kind}')
+        raise ValueError('the checksum of the summary is wrong')
+    stream.seek(0)  # where mcap reads the magic
+    found = SeekingReader(stream, record_size_limit=_LARGEST_RECORD).get_summary()
+    known = found and found.statistics
+    if not known or len(found.schemas) < known.schema_count or (
+            len(found.channels) < known.channel_count
+            or len(found.metadata_indexes) < known.metadata_count):
+        raise ValueError('its summary is incomplete')
     return found
+
+
+def _reason(error):
+    return str(error) or 'a record is cut'  # mcap's EndOfFile has no text
 
 
 class LogNotes(NamedTuple):
@@ -215,16 +183,23 @@ class LogFile:
         with _open(self.path) as stream:
             try:
                 self.summary = _read_summary(stream)
-            except _DamageError as error:
+            except _UNREADABLE as error:
                 reason = ('it is still being written: wait for its end, or'
-                          if _is_being_written(stream) else f'{error}:')
+                          if _is_being_written(stream) else f'{_reason(error)}:')
                 raise LogError(f'{self.name}: {reason} timo_sim recover {self.name} makes a '
                                'complete log of what is there') from None
 
     def notes(self) -> LogNotes:
         """Return the metadata; raise LogError if they are malformed or of several runs."""
         found = LogNotes({}, {}, [], [])
-        for name, note in self._metadata():
+        with _open(self.path) as stream:
+            stream.seek(0)
+            try:
+                notes = [(record.name, record.metadata) for record in SeekingReader(
+                    stream, record_size_limit=_LARGEST_RECORD).iter_metadata()]
+            except _UNREADABLE as error:
+                raise self._damaged(_reason(error)) from None
+        for name, note in notes:
             if name == START:
                 if found.facts not in ({}, note):
                     raise LogError(f'{self.name} has the notes of several runs')
@@ -242,16 +217,7 @@ class LogFile:
                                f'{str(note)[:80]!r}') from None
         return found
 
-    def _metadata(self):
-        with _open(self.path) as stream:
-            stream.seek(0)
-            try:
-                return [(record.name, record.metadata) for record in SeekingReader(
-                    stream, record_size_limit=_LARGEST_RECORD).iter_metadata()]
-            except _UNREADABLE as error:
-                raise self._damaged(error) from None
-
-    def records(self) -> Iterator[Schema | Channel | Metadata | Chunk]:
+    def records(self) -> Iterator[Schema | Channel | Metadata | bytes]:
         """Yield what the file has, see `_Reader.records`; raise LogError if it is damaged."""
         with _open(self.path) as stream:
             reader = _Reader(stream)
@@ -274,59 +240,25 @@ class _Reader:
     """
     Reads a log, behind its magic, record by record until it breaks; damaged records are left out.
 
-    `damage` is the first damage and its place, None for a complete file; `lost` are bytes that
-    could not be read, `left_out` counts attachments and private records, which are not copied.
+    `damage` is the first damage and its place, None for a complete file; `faults` counts all,
+    `lost` are the bytes that could not be read; `left_out` counts attachments and private records,
+    which are not copied. `count`, `earliest` and `latest` are of the messages so far, with their
+    log times [ns].
     """
 
     def __init__(self, stream: BinaryIO) -> None:
         self._stream, self.profile = stream, 'ros2'
-        self.size = os.fstat(stream.fileno()).st_size
-        self.place, self.lost, self.faults, self.count = len(MCAP0_MAGIC), 0, 0, 0
-        self.earliest, self.latest, self.left_out = math.inf, 0, 0
+        self._place, self._known = len(MCAP0_MAGIC), {Schema: {0}, Channel: set()}
         self.damage: str | None = None
+        self.lost = self.faults = self.left_out = self.count = self.latest = 0
+        self.earliest = math.inf
 
-    def records(self) -> Iterator[Schema | Channel | Metadata | Chunk]:
-        """Yield each Schema and Channel once, Metadata (not rosbag2's) and Chunks of messages."""
-        chunk = Chunk()
-        known: set[tuple[type, int]] = {(Schema, 0)}
-        for record in self._intact():
-            if isinstance(record, bytes):
-                channel, sequence, log_time, publish_time = _MESSAGE.unpack_from(record)
-                if (Channel, channel) not in known:
-                    self._report(f'a message is of an unknown channel, {channel}')
-                    continue
-                self.count += 1
-                self.earliest = min(self.earliest, log_time)
-                self.latest = max(self.latest, log_time)
-                chunk.add(channel, sequence, log_time, publish_time, record[_MESSAGE.size:])
-                if len(chunk.data) < CHUNK_SIZE:
-                    continue
-            if chunk.data:
-                yield chunk
-                chunk = Chunk()
-            if isinstance(record, (Schema, Channel)):
-                if (type(record), record.id) in known:
-                    continue
-                known.add((type(record), record.id))
-                if isinstance(record, Channel) and (Schema, record.schema_id) not in known:
-                    self._report(f'{record.topic[:80]!r} is of an unknown schema, '
-                                 f'{record.schema_id}, and is kept without')
-                    record = replace(record, schema_id=0)
-            if not isinstance(record, bytes):
-                yield record
-        if chunk.data:
-            yield chunk
-
-    def _report(self, damage, lost=0):
-        self.faults += 1
-        self.lost += lost
-        self.damage = self.damage or f'{damage} (byte {self.place})'
-
-    def _intact(self):
-        """Yield the records that are to be copied, also those in chunks; messages as bytes."""
-        crc, opcode, data_ended = zlib.crc32(MCAP0_MAGIC), None, False
+    def records(self) -> Iterator[Schema | Channel | Metadata | bytes]:
+        """Yield each Schema and Channel once, Metadata but rosbag2's, and contents of messages."""
+        size, crc = os.fstat(self._stream.fileno()).st_size, zlib.crc32(MCAP0_MAGIC)
+        opcode, data_ended = None, False
         while opcode != Opcode.FOOTER:
-            head, left = self._stream.read(HEAD.size), self.size - self.place
+            head, left = self._stream.read(HEAD.size), size - self._place
             opcode, length = HEAD.unpack(head) if len(head) == HEAD.size else (0, 0)
             if not opcode or HEAD.size + length > left or length > _LARGEST_RECORD:
                 self._report('it ends early' if not any(head) else
@@ -334,47 +266,70 @@ class _Reader:
                 return
             content = self._stream.read(length)
             try:
-                yield from self._contents(opcode, content)
-            except _DamageError as error:
-                self._report(error, HEAD.size + length)
+                yield from self._copied(opcode, content)
+            except _UNREADABLE as error:
+                self._report(_reason(error), HEAD.size + length)
             if opcode == Opcode.DATA_END:
                 data_ended = True
                 if content not in (bytes(4), crc.to_bytes(4, 'little')):
                     self._report('the checksum of all data is wrong')
             crc = zlib.crc32(content, zlib.crc32(head, crc))
-            self.place += HEAD.size + length
+            self._place += HEAD.size + length
         if not data_ended:
             self._report('the record that ends its data, with their checksum, is missing')
-        elif self.place + len(MCAP0_MAGIC) != self.size:
+        elif self._place + len(MCAP0_MAGIC) != size:
             self._report('there is something else after its end')
         else:
             try:
                 _read_summary(self._stream)
-            except _DamageError as error:
-                self._report(error)
+            except _UNREADABLE as error:
+                self._report(_reason(error))
 
-    def _contents(self, opcode, content):
-        """Return the list of records to copy that a record is or contains."""
+    def _report(self, damage, lost=0):
+        self.faults += 1
+        self.lost += lost
+        self.damage = self.damage or f'{damage} (byte {self._place})'
+
+    def _copied(self, opcode, content):
+        """Yield what is to be copied of a record: itself, or what it contains."""
         if opcode == MESSAGE_OPCODE:
-            if len(content) < _MESSAGE.size:
-                raise _DamageError('a record of kind message is malformed')
-            return [content]
-        if opcode == _CHUNK_OPCODE:
-            data = _decompress(_parse(ChunkRecord, content))
-            try:
-                inside = _split(data)
-            except struct.error:
-                raise _DamageError('a chunk cannot be read: its records are malformed') from None
-            return [record for part in inside for record in self._contents(*part)]
-        if opcode in _COPIED:
-            record = _parse(_COPIED[opcode], content)
-            made_again = isinstance(record, Metadata) and record.name == 'rosbag2'
-            return [] if made_again and self.profile == 'ros2' else [record]
-        if opcode == Opcode.HEADER:
+            channel, _, time, _ = MESSAGE.unpack_from(content)
+            if channel in self._known[Channel]:
+                self.count += 1
+                self.earliest, self.latest = min(self.earliest, time), max(self.latest, time)
+                yield content
+            else:
+                self._report(f'a message is of an unknown channel, {channel}')
+        elif opcode == _CHUNK_OPCODE:
+            data, place = _decompress(_parse(ChunkRecord, content)), 0
+            while place < len(data):
+                inner, length = HEAD.unpack_from(data, place)
+                begin, place = place + HEAD.size, place + HEAD.size + length
+                if place > len(data) or inner == _CHUNK_OPCODE:
+                    raise ValueError('the records in a chunk are malformed')
+                yield from self._copied(inner, data[begin:place])
+        elif opcode == Opcode.METADATA:
+            record = _parse(Metadata, content)
+            if record.name != 'rosbag2' or self.profile != 'ros2':  # else it is made anew
+                yield record
+        elif opcode in (Opcode.SCHEMA, Opcode.CHANNEL):
+            record = _parse(Schema if opcode == Opcode.SCHEMA else Channel, content)
+            known = self._known[type(record)]
+            if record.id not in known:
+                known.add(record.id)
+                if opcode == Opcode.CHANNEL and record.schema_id not in self._known[Schema]:
+                    self._report(f'{record.topic[:80]!r} is of an unknown schema, '
+                                 f'{record.schema_id}, and is kept without')
+                    record.schema_id = 0
+                yield record
+        elif opcode == Opcode.HEADER:
             self.profile = _parse(Header, content).profile
         elif opcode == Opcode.ATTACHMENT or opcode >= _FIRST_PRIVATE_OPCODE:
             self.left_out += 1
-        return []
+
+
+def _parse(kind, content):
+    return kind.read(ReadDataStream(BytesIO(content)))
 
 
 def recover(file: Path | str, output: Path | str | None = None) -> str:
@@ -424,14 +379,21 @@ def _write(records, profile, path, output):
         if new.exists():
             raise LogError(f'{printable(output)} exists: remove it or choose another --output')
     with whole_file(new, new=True) as part, open(part, 'wb') as stream:
-        writer = Writer(stream, profile)
+        writer, chunk = Writer(stream, profile), Chunk()
         for record in records:
-            if isinstance(record, Chunk):
-                writer.add_chunk(record)
-            elif isinstance(record, Metadata):
+            if isinstance(record, bytes):
+                chunk.add(*MESSAGE.unpack_from(record), record[MESSAGE.size:])
+                if len(chunk.data) < CHUNK_SIZE:
+                    continue
+            if chunk.data:
+                writer.add_chunk(chunk)
+                chunk = Chunk()
+            if isinstance(record, Metadata):
                 writer.add_metadata(record.name, record.metadata)
-            else:
+            elif not isinstance(record, bytes):
                 writer.add_record(record)
+        if chunk.data:
+            writer.add_chunk(chunk)
         writer.finish(new.name)
         sync(stream)
     return new

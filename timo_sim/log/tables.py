@@ -9,10 +9,11 @@ import csv
 from dataclasses import dataclass
 from functools import cached_property
 import json
-from operator import index
+from operator import index, itemgetter
 import os
 from pathlib import Path
 import shutil
+from struct import unpack_from
 from typing import Any
 
 from mcap.records import Metadata
@@ -21,7 +22,7 @@ import numpy as np
 from timo_sim.extras import optional
 from timo_sim.log.read import files_of, LogError, LogFile
 from timo_sim.log.write import (
-    Chunk, in_wall_time, information, original_names, printable, RESET, TEXT, yaml_text)
+    in_wall_time, information, MESSAGE, original_names, printable, RESET, TEXT, yaml_text)
 from timo_sim.scene.files import whole_file
 from timo_sim.scene.parameters import frame_names, GONE, ParameterError, PARAMETERS, SPLIT
 from timo_sim.scene.scene import load_scene
@@ -29,9 +30,10 @@ from timo_sim.topics.cdr import CdrError, layout
 from timo_sim.topics.commands import COMMANDS, LARGEST_COMMAND, RefusedError
 from timo_sim.topics.outputs import NANOSECONDS, outputs, title, with_angles
 
-# What a message's record has before its content.
-_HEAD = np.dtype([('opcode', 'u1'), ('length', '<u8'), ('channel', '<u2'),
-                  ('sequence', '<u4'), ('log_time', '<u8'), ('publish_time', '<u8')])
+# `MESSAGE` as a type of NumPy.
+_HEAD = np.dtype([('channel', '<u2'), ('sequence', '<u4'), ('log_time', '<u8'),
+                  ('publish_time', '<u8')])
+_AT_ONCE = 4096  # messages that are converted to arrays together
 _COMMANDS = {command.name: command for command in COMMANDS}
 _WRAP = 2**32  # sequence numbers are steps modulo this, or all 0 if a tool has not kept them
 _RESTART = 10**8  # [ns] by which stamps fall only if a simulator is started again
@@ -132,9 +134,10 @@ class Recording:
         for (part, number), channel, schema in self._channels():
             if channel.topic != f'{self.name}/scene' or not schema or schema.name != TEXT:
                 continue
-            for chunk in self.parts[part].records():
-                entries = chunk.index.get(number, ()) if isinstance(chunk, Chunk) else ()
-                told += [_message(chunk.data, place) for place in entries[1::2]]
+            for record in self.parts[part].records():
+                if isinstance(record, bytes):
+                    channel, _, _, sent = MESSAGE.unpack_from(record)
+                    told += [(sent, record[MESSAGE.size:])] * (channel == number)
         if not told:
             return
         try:
@@ -221,26 +224,18 @@ class Recording:
         twice = Counter((part, about[0]) for (part, _), about in found.items()).most_common(1)
         if twice and twice[0][1] > 1:
             raise LogError(f'{self.title} has two channels of {twice[0][0][1]}')
-        collectors = {about: _Collector(*about, self.frames, self.of_scene is not None)
+        collectors = {about: _Collector(self.title, *about, self.frames, self.of_scene is not None)
                       for about in found.values()}
         for part, file in enumerate(self.parts):
             resets = 0
             for record in file.records():
-                if isinstance(record, Metadata):
+                if isinstance(record, bytes):
+                    about = found.get((part, int.from_bytes(record[:2], 'little')))
+                    if about:
+                        collectors[about].add(resets, record)
+                elif isinstance(record, Metadata):
                     resets += record.name == RESET
-                elif isinstance(record, Chunk):
-                    for number, entries in record.index.items():
-                        if (part, number) in found:
-                            self._add(collectors[found[part, number]], resets, record.data,
-                                      np.array(entries[1::2]))
-        return {collector.name: self._series(collector) for collector in collectors.values()}
-
-    def _add(self, collector, resets, data, offsets):
-        try:
-            collector.add(resets, np.frombuffer(data, np.uint8), offsets)
-        except CdrError as error:
-            raise LogError(f'{self.title}: a message on {collector.topic[:80]} '
-                           f'is not a {collector.type_name}: {error}') from None
+        return {name: self._series(collector) for (name, *_), collector in collectors.items()}
 
     def motion(self, series: dict[str, Series] | None = None) -> tuple[
             np.ndarray, np.ndarray, np.ndarray]:
@@ -445,110 +440,96 @@ class _Collector:
     Gathers the messages of a topic as arrays; `frames` are the names of frames in commands.
 
     Of a bag with ~/scene (`in_bag`), times are those at which they were published, with the stamps
-    of commands, else those at which they were logged.
+    of commands, else those at which they were logged. A message that does not match its type, or
+    has other texts or lists than those before it on an output's topic, is a LogError.
     """
 
-    def __init__(self, name, topic, type_name, frames, in_bag):
-        self.name, self.topic, self.type_name = name, topic, type_name
+    def __init__(self, title, name, topic, type_name, frames, in_bag):
+        self.topic, self._title, self._name, self._type_name = topic, title, name, type_name
         self._frames, self._in_bag = frames, in_bag
         self.command = _COMMANDS.get(name)
         self.columns = self.command.names if self.command else ()
-        self.refused = 0
-        self._layouts, self._parts, self._count = [], [], 0
+        self.refused, self._waiting, self._parts = 0, [], []
 
-    def add(self, resets, data, offsets):
-        """Add the messages at these offsets in the data of a Chunk, after some resets."""
-        heads = _gather(data, offsets, _HEAD)
-        sizes = heads['length'] + np.uint64(9) - np.uint64(_HEAD.itemsize)
-        for size in np.unique(sizes):
-            if not 4 <= size <= LARGEST_COMMAND:
-                raise CdrError(f'it has {size} bytes')
-            same = np.flatnonzero(sizes == size)
-            rows = _gather(data, offsets[same] + _HEAD.itemsize, np.dtype(f'V{size}')).view(
-                np.uint8).reshape(len(same), -1)
-            while len(rows):
-                found = self._layout(bytes(rows[0]))
-                alike = np.all(rows[:, found.fixed] == rows[0, found.fixed], axis=1)
-                self._keep(self._count + same[alike], resets, heads[same[alike]], found,
-                           rows[alike])
-                same, rows = same[~alike], rows[~alike]
-        self._count += len(offsets)
-
-    def _layout(self, data):
-        for known, size, text in self._layouts:
-            if len(data) == size and bytes(data[place] for place in known.fixed) == text:
-                return known
-        found = layout(self.type_name, data)
-        self._layouts.append((found, len(data), bytes(data[place] for place in found.fixed)))
-        if self.command:
-            return found
-        if len(self._layouts) > 1:  # names of frames differ in length
-            raise CdrError('its texts or lists are not those of the messages before it')
-        texts = found.texts[1:]  # after the frame
-        output = {each.name: each for each in outputs(max(1, len(texts)))}[self.name]
-        self.columns, self._places = output.columns, output.places
-        if texts != output.texts[1:] or len(found.doubles) <= max(self._places, default=-1):
-            raise CdrError(f'{", ".join(texts)[:80]} are not the joints of this node')
-        return found
-
-    def _keep(self, numbers, resets, heads, found, rows):
-        """Keep messages of one layout and their numbers in the file, for `arrays`."""
-        log_ns = heads['publish_time' if self._in_bag else 'log_time'].astype(np.int64)
-        messages = np.empty(len(rows), object)
-        if self.command:
-            kept, loads = [], []
-            for number, row in enumerate(_doubles(rows, found.doubles).tolist()):
-                try:
-                    loads.append(self.command.row(
-                        found.texts, found.split(row), self._frames))
-                    kept.append(number)
-                    messages[number] = rows[number].tobytes()
-                except RefusedError:
-                    self.refused += 1
-            numbers, heads, log_ns, messages = (
-                array[kept] for array in (numbers, heads, log_ns, messages))
-            ns = _stamps(rows[kept], found) if self._in_bag else log_ns
-            values = np.array(loads, dtype=float).reshape(-1, len(self.columns))
-        else:
-            values = _doubles(rows, [found.doubles[place] for place in self._places])
-            ns = _stamps(rows, found)
-        self._parts.append((numbers, np.full(len(heads), resets),
-                            heads['sequence'].astype(np.int64), log_ns, ns, values, messages))
+    def add(self, resets, message):
+        """Add the content of a message's record that comes after some resets."""
+        self._waiting.append((resets, message))
+        if len(self._waiting) == _AT_ONCE:
+            self._convert()
 
     def arrays(self):
         """Return resets, sequence, log time, stamp, values and bytes in the order of the file."""
+        if self._waiting:
+            self._convert()
         none = np.zeros(0, dtype=np.int64)
-        numbers, *others = map(np.concatenate, zip(*self._parts or [
-            (*[none] * 5, np.zeros((0, len(self.columns))), np.zeros(0, object))]))
-        order = np.argsort(numbers)
-        return tuple(array[order] for array in others)
+        return tuple(map(np.concatenate, zip(*self._parts or [
+            (*4 * [none], np.zeros((0, len(self.columns))), np.zeros(0, object))])))
+
+    def _convert(self):
+        resets, messages = zip(*self._waiting)
+        self._waiting = []
+        heads = np.frombuffer(b''.join(each[:MESSAGE.size] for each in messages), _HEAD)
+        data = np.empty(len(messages), object)
+        data[:] = [each[MESSAGE.size:] for each in messages]
+        log_ns = heads['publish_time' if self._in_bag else 'log_time'].astype(np.int64)
+        try:
+            if self.command:
+                kept, ns, values = self._read_commands(data)
+                ns = ns if self._in_bag else log_ns[kept]
+            else:
+                kept, (ns, values) = slice(None), self._read_outputs(data)
+        except CdrError as error:
+            raise LogError(f'{self._title}: a message on {self.topic[:80]} is not a '
+                           f'{self._type_name}: {error}') from None
+        self._parts.append((np.array(resets)[kept], heads['sequence'].astype(np.int64)[kept],
+                            log_ns[kept], ns, values, data[kept]))
+
+    def _read_commands(self, data):
+        """Return which of n messages are not refused, their stamps or 0 [ns], and their rows."""
+        kept, stamps, rows, alike = [], [], [], None
+        for number, message in enumerate(data):
+            if len(message) > LARGEST_COMMAND:
+                raise CdrError(f'it has {len(message)} bytes')
+            if not alike or len(message) != size or alike(message) != fixed:
+                found, size = layout(self._type_name, message), len(message)
+                alike = itemgetter(*found.fixed)
+                fixed = alike(message)
+            numbers = [unpack_from('<d', message, place)[0] for place in found.doubles]
+            try:
+                rows.append(self.command.row(found.texts, found.split(numbers), self._frames))
+            except RefusedError:
+                self.refused += 1
+                continue
+            kept.append(number)
+            seconds, nanoseconds = unpack_from('<iI', message, found.stamps[0]) if (
+                found.stamps) else (0, 0)
+            stamps.append(NANOSECONDS * seconds + nanoseconds)
+        return (kept, np.array(stamps, dtype=np.int64),
+                np.array(rows, dtype=float).reshape(-1, len(self.columns)))
+
+    def _read_outputs(self, data):
+        """Return stamps [ns] and values of n messages."""
+        found, size = layout(self._type_name, data[0]), len(data[0])
+        texts = found.texts[1:]  # after the frame
+        output = {each.name: each for each in outputs(max(1, len(texts)))}[self._name]
+        if texts != output.texts[1:] or len(found.doubles) <= max(output.places, default=-1):
+            raise CdrError(f'{", ".join(texts)[:80]} are not the joints of this node')
+        self.columns = self.columns or output.columns
+        rows = np.frombuffer(b''.join(data), np.uint8)
+        if {*map(len, data)} == {size} and self.columns == output.columns:
+            rows = rows.reshape(len(data), size)
+            if (rows[:, found.fixed] == rows[0, found.fixed]).all():
+                times = _eight_bytes(rows, found.stamps[:1], '<i4').astype(np.int64)
+                return NANOSECONDS * times[:, 0] + times[:, 1], _eight_bytes(
+                    rows, [found.doubles[place] for place in output.places], '<f8')
+        raise CdrError('its texts or lists are not those of the messages before it')
 
 
-def _message(data, place):
-    """Return publish time [ns] and content of the message at a place in the data of a Chunk."""
-    head = np.frombuffer(data, _HEAD, 1, place)[0]
-    return int(head['publish_time']), bytes(
-        data[place + _HEAD.itemsize:place + 9 + int(head['length'])])
-
-
-def _gather(data, offsets, kind):
-    """Return an element of the type `kind` from each of these offsets, shape (n,)."""
-    return np.ndarray((len(data) - kind.itemsize + 1,), kind, data, strides=(1,))[offsets]
-
-
-def _stamps(rows, found):
-    """Return the first time in messages, rows of bytes of one Layout, or 0, (n,) [ns]."""
-    first = next(iter(found.stamps), None)
-    if first is None:
-        return np.zeros(len(rows), dtype=np.int64)
-    stamp = np.ascontiguousarray(rows[:, first:first + 8]).view('<i4')
-    # As int64 before the product, which NumPy 1.26 would take in 32 bits.
-    return NANOSECONDS * stamp[:, 0].astype(np.int64) + stamp[:, 1]
-
-
-def _doubles(rows, places):
+def _eight_bytes(rows, places, kind):
+    """Return what rows of bytes have at some places, eight bytes each, as numbers of a kind."""
     columns = [place + byte for place in places for byte in range(8)]
-    return np.ascontiguousarray(rows[:, columns]).view('<f8').reshape(len(rows), len(places))
+    return np.ascontiguousarray(rows[:, columns]).view(kind).reshape(
+        len(rows), 8 * len(places) // np.dtype(kind).itemsize)
 
 
 _ROWS = 10000  # rows of a CSV file that are converted to text at a time

@@ -123,9 +123,9 @@ def _environment():
         platform.machine(), get_host_cpu_name())))
 
 
-HEAD = struct.Struct('<BQ')  # of a record: opcode, and length of the content
-# Head of a message's record; channel, sequence number, log time and publish time.
-_MESSAGE = struct.Struct('<BQHIQQ')
+HEAD = struct.Struct('<BQ')       # of a record: opcode, and length of the content
+MESSAGE = struct.Struct('<HIQQ')  # channel, sequence number, log time, publish time; data follow
+_HEAD_AND_MESSAGE = struct.Struct('<BQHIQQ')
 MESSAGE_OPCODE = int(Opcode.MESSAGE)  # comparing with the enum itself takes longer
 _FOR_EVER = {'sec': 9223372036, 'nsec': 854775807}
 DEPTH = 10  # default depth of a topic's queue [messages]
@@ -152,9 +152,8 @@ class Chunk:
             data: bytes) -> None:
         """Append a message with its times [ns]."""
         self.index[channel] += log_time, len(self.data)
-        length = _MESSAGE.size - HEAD.size + len(data)
-        self.data += _MESSAGE.pack(
-            MESSAGE_OPCODE, length, channel, sequence, log_time, publish_time)
+        self.data += _HEAD_AND_MESSAGE.pack(
+            MESSAGE_OPCODE, MESSAGE.size + len(data), channel, sequence, log_time, publish_time)
         self.data += data
 
 
