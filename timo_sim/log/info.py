@@ -11,7 +11,7 @@ from timo_sim.log.read import LogFile
 from timo_sim.log.write import ENVIRONMENT, in_wall_time
 from timo_sim.topics.outputs import NANOSECONDS
 
-_MOST_COUNTERS, _IN_A_LINE = 20, 4
+_IN_A_LINE = 4  # counters
 
 
 def info(file: Path | str) -> list[str]:
@@ -31,7 +31,7 @@ def _about_run(log, notes):
     facts, summary, resets, changes = notes
     yield from _entry('changed', _changed(facts) or ['nothing: the arm of the paper at rest'])
     yield from _entry('made with', [', '.join(
-        f'{name} {facts[name][:40]}' for name in ENVIRONMENT if name in facts)])
+        f'{name} {facts[name]}' for name in ENVIRONMENT if name in facts)])
     known = log.summary.statistics
     start = known.message_start_time if in_wall_time(facts) else 0
     end = (known.message_end_time - start) / NANOSECONDS
@@ -40,12 +40,10 @@ def _about_run(log, notes):
     yield from _entry('resets', [f'at steps {steps}' if resets else 'none'])
     if changes:
         yield from _entry('set later', [
-            f'at step {step}: {name} = {json.dumps(value)}'[:90]
+            f'at step {step}: {name} = {json.dumps(value)}'
             for step, _, values in changes for name, value in values.items()][:20])
     yield from _entry('timing', [text for name, text in summary.items() if name == 'timing'])
-    # Earlier versions also noted a peak.
-    counted = [f'{name[:40]} {value[:20]}' for name, value in summary.items()
-               if not name.startswith(('peak', 'timing'))][:_MOST_COUNTERS]
+    counted = [f'{name} {value}' for name, value in summary.items() if name != 'timing']
     yield from _entry('counted', [
         ', '.join(counted[first:first + _IN_A_LINE])
         for first in range(0, len(counted), _IN_A_LINE)
@@ -55,7 +53,7 @@ def _about_run(log, notes):
 def _changed(facts):
     try:
         changed = json.loads(facts['changed'])
-        return [f'{name} = {json.dumps(value)}'[:90] for name, value in changed.items()]
+        return [f'{name} = {json.dumps(value)}' for name, value in changed.items()]
     except (KeyError, AttributeError, ValueError, RecursionError):
         return ['not known: the log does not contain it']
 

@@ -242,16 +242,14 @@ class _Reader:
 
     `damage` is the first damage and its place, None for a complete file; `faults` counts all,
     `lost` are the bytes that could not be read; `left_out` counts attachments and private records,
-    which are not copied. `count`, `earliest` and `latest` are of the messages so far, with their
-    log times [ns].
+    which are not copied.
     """
 
     def __init__(self, stream: BinaryIO) -> None:
         self._stream, self.profile = stream, 'ros2'
         self._place, self._known = len(MCAP0_MAGIC), {Schema: {0}, Channel: set()}
         self.damage: str | None = None
-        self.lost = self.faults = self.left_out = self.count = self.latest = 0
-        self.earliest = math.inf
+        self.lost = self.faults = self.left_out = 0
 
     def records(self) -> Iterator[Schema | Channel | Metadata | bytes]:
         """Yield each Schema and Channel once, Metadata but rosbag2's, and contents of messages."""
@@ -293,10 +291,8 @@ class _Reader:
     def _copied(self, opcode, content):
         """Yield what is to be copied of a record: itself, or what it contains."""
         if opcode == MESSAGE_OPCODE:
-            channel, _, time, _ = MESSAGE.unpack_from(content)
+            channel, *_ = MESSAGE.unpack_from(content)
             if channel in self._known[Channel]:
-                self.count += 1
-                self.earliest, self.latest = min(self.earliest, time), max(self.latest, time)
                 yield content
             else:
                 self._report(f'a message is of an unknown channel, {channel}')
@@ -345,15 +341,18 @@ def recover(file: Path | str, output: Path | str | None = None) -> str:
     path = file_of(file)
     with _open(path) as stream:
         # The file is read twice, because most files are complete, and some are no logs.
-        reader, empty, own = _Reader(stream), True, False
+        reader, empty, in_sim_time = _Reader(stream), True, False
+        count, earliest, latest = 0, math.inf, 0
         for record in reader.records():
             empty = False
-            own = own or (isinstance(record, Metadata) and record.name == START
-                          and not in_wall_time(record.metadata))
-        contents = f'{reader.count} messages ' + (
-            f'until sim time {1e-9 * reader.latest:.3f} s' if own else
-            # Log times of a bag are those of a wall clock.
-            f'within {1e-9 * max(0, reader.latest - reader.earliest):.3f} s')
+            if isinstance(record, bytes):
+                time = MESSAGE.unpack_from(record)[2]
+                count, earliest, latest = count + 1, min(earliest, time), max(latest, time)
+            elif isinstance(record, Metadata) and record.name == START:
+                in_sim_time = not in_wall_time(record.metadata)
+        contents = f'{count} messages ' + (
+            f'until sim time {1e-9 * latest:.3f} s' if in_sim_time else
+            f'within {1e-9 * max(0, latest - earliest):.3f} s')
         if not reader.damage:
             return f'{printable(path)} is complete: {contents}; nothing is written'
         if empty:
@@ -388,10 +387,8 @@ def _write(records, profile, path, output):
             if chunk.data:
                 writer.add_chunk(chunk)
                 chunk = Chunk()
-            if isinstance(record, Metadata):
-                writer.add_metadata(record.name, record.metadata)
-            elif not isinstance(record, bytes):
-                writer.add_record(record)
+            if not isinstance(record, bytes):
+                writer.add(record)
         if chunk.data:
             writer.add_chunk(chunk)
         writer.finish(new.name)

@@ -227,12 +227,14 @@ class Recording:
         collectors = {about: _Collector(self.title, *about, self.frames, self.of_scene is not None)
                       for about in found.values()}
         for part, file in enumerate(self.parts):
+            # A message begins with the number of its channel.
+            here = {number.to_bytes(2, 'little'): collectors[about]
+                    for (place, number), about in found.items() if place == part}
             resets = 0
             for record in file.records():
                 if isinstance(record, bytes):
-                    about = found.get((part, int.from_bytes(record[:2], 'little')))
-                    if about:
-                        collectors[about].add(resets, record)
+                    if collector := here.get(record[:2]):
+                        collector.add(resets, record)
                 elif isinstance(record, Metadata):
                     resets += record.name == RESET
         return {name: self._series(collector) for (name, *_), collector in collectors.items()}

@@ -174,20 +174,17 @@ class Writer:
         self._put(MCAP0_MAGIC)
         self._write(Header(profile=profile, library=LIBRARY_IDENTIFIER))
 
-    def add_record(self, record: Schema | ChannelRecord) -> None:
-        """Add a Schema or a Channel."""
+    def add(self, record: Schema | ChannelRecord | Metadata) -> None:
+        """Write a record, and note it for the summary."""
+        offset, length = self.size, self._write(record)
         if isinstance(record, Schema):
             self._summary.schemas[record.id] = record
-        else:
+        elif isinstance(record, ChannelRecord):
             self._summary.channels[record.id] = record
-        self._write(record)
-
-    def add_metadata(self, name: str, values: dict[str, str]) -> None:
-        """Add a metadata record."""
-        offset = self.size
-        length = self._write(Metadata(name=name, metadata=values))
-        MetadataIndex(offset=offset, length=length, name=name).write(self._metadata_indexes)
-        self._statistics.metadata_count += 1
+        else:
+            MetadataIndex(offset=offset, length=length, name=record.name).write(
+                self._metadata_indexes)
+            self._statistics.metadata_count += 1
 
     def add_chunk(self, chunk: Chunk) -> None:
         """Compress a chunk that has messages, and write it with its index."""
@@ -224,8 +221,8 @@ class Writer:
         self._statistics.schema_count = len(schemas)
         self._statistics.channel_count = len(channels)
         if self._profile == 'ros2':
-            self.add_metadata('rosbag2', {
-                'serialized_metadata': yaml_text(information(self._summary, name))})
+            self.add(Metadata(name='rosbag2', metadata={
+                'serialized_metadata': yaml_text(information(self._summary, name))}))
         self._write(DataEnd(self._crc))
         start, data = self.size, b''.join([
             _bytes_of(*schemas, *channels, self._statistics), self._chunk_indexes.end(),
@@ -328,15 +325,15 @@ class Recorder:
     def __init__(self, path: Path | str, channels: list[Channel],
                  notes: dict[str, dict[str, str]], wall: bool = False) -> None:
         self.error: str | None = None
-        self._wall = wall
         self.warning: str | None = None
+        self._wall = wall
         self._lock = threading.Lock()  # of the chunk that grows
         self._chunk = Chunk()
-        self._queue: deque[tuple] = deque()  # method of the Writer and its arguments, to be called
+        self._queue: deque[tuple] = deque()  # method of the Writer and its argument, to be called
         self._ready = threading.Event()
         self._closing = False
         types = list(dict.fromkeys(channel.type_name for channel in channels))
-        records: list[Schema | ChannelRecord] = [
+        records: list[Schema | ChannelRecord | Metadata] = [
             Schema(id=number, name=name, encoding='ros2msg', data=schema_text(name).encode())
             for number, name in enumerate(types, start=1)]
         records += [
@@ -348,13 +345,12 @@ class Recorder:
                                       'depth', 'reliability', 'durability')}}]),
                               'topic_type_hash': TYPE_HASHES[channel.type_name]})
             for number, channel in enumerate(channels, start=1)]
+        records += [Metadata(name=name, metadata=values) for name, values in notes.items()]
         self.path, self._file = create(Path(path))
         try:
             self._writer = Writer(self._file, 'ros2')
             for record in records:
-                self._writer.add_record(record)
-            for name, values in notes.items():
-                self._writer.add_metadata(name, values)
+                self._writer.add(record)
             self._file.flush()
         except OSError:
             with suppress(OSError):
@@ -387,7 +383,7 @@ class Recorder:
         """Log a metadata record: a name, and a dictionary of str."""
         if self.error is None:
             self._pass_on()
-            self._queue.append((self._writer.add_metadata, name, values))
+            self._queue.append((self._writer.add, Metadata(name=name, metadata=values)))
 
     def close(self) -> None:
         """Write what is waiting, the index and the summary, and close the file."""
@@ -431,8 +427,8 @@ class Recorder:
     def _drain(self):
         self._check_file()
         while self._queue:
-            write, *items = self._queue.popleft()
-            write(*items)
+            write, what = self._queue.popleft()
+            write(what)
         self._file.flush()
 
     def _check_file(self):
