@@ -29,12 +29,11 @@ from ros_process import Process
 
 import timo_sim
 from timo_sim.cli import main
-from timo_sim.log.tables import Recording
 from timo_sim.simulation.energy import work
 from timo_sim.view import plot, rerun
 from timo_sim.view.plot import animate
 from timo_sim.view.rerun import picture, write
-from timo_sim.view.track import track_of_recording, track_of_run
+from timo_sim.view.track import track_of_run
 
 CONFIG = Path(__file__).resolve().parents[2] / 'config'
 LENGTH, AT = 2.0, 1.782
@@ -286,7 +285,7 @@ def test_a_floor_is_under_the_carrier_where_there_is_gravity(run, shown, tmp_pat
     # A cube of 5 kg has sides of 0.12 m in the arm's material.
     below, down = start + 0.5 * (5.0 / 2710.0)**(1 / 3) * gravity / 5.0, gravity / 5.0
     for name, track in (('run', track_of_run(leaning)),
-                        ('log', track_of_recording(Recording(tmp_path / 'leaning.mcap'), 'log'))):
+                        ('log', track_of_run(timo_sim.open_log(tmp_path / 'leaning.mcap'), 'log'))):
         assert 'Gravity is 5 m/s2' in track.note
         path = tmp_path / f'{name}.rrd'
         write([track], path)

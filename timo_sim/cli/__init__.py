@@ -8,21 +8,26 @@ Each subcommand imports what it needs when it runs, for a quick start. This pack
 everything; nothing imports it.
 """
 
-from collections.abc import Iterable
-from functools import partial
-import itertools
+from __future__ import annotations
+
+from collections.abc import Callable, Iterable
+from functools import partial, wraps
+from importlib import import_module
 import os
 from pathlib import Path
 import re
 import signal
 import sys
-from typing import Any
+from typing import Any, TYPE_CHECKING
 import warnings
 
 import click
 
 from timo_sim.extras import optional
 from timo_sim.version import __version__
+
+if TYPE_CHECKING:
+    from timo_sim.scene.scene import Scene
 
 # Errors by name, because most of their modules are not imported here.
 _WRONG_INPUT = 'FileNotFoundError', 'LogError', 'ParameterError'
@@ -84,6 +89,7 @@ def main() -> None:
 
 
 main.command_class = _Command
+_FILE = click.Path(dir_okay=False)
 _settings = click.option('--set', 'settings', multiple=True, metavar='NAME=VALUE',
                          help='A parameter that differs from the scene; several may follow.')
 _deflection_scale = click.option(
@@ -92,9 +98,32 @@ _deflection_scale = click.option(
 _node = click.option('--node', metavar='NAME', help='Full name of the node, if a bag has several.')
 
 
+def _takes_scene(command: Callable) -> Callable:
+    """Give a subcommand the argument SCENE and the option --set; it gets the Scene of these."""
+    @click.argument('scene')
+    @_settings
+    @wraps(command)
+    def with_scene(scene: str, settings: tuple[str, ...], **options: Any) -> None:
+        from timo_sim.scene.scene import load_scene
+        command(load_scene(scene, parse_settings(settings)), **options)
+    return with_scene
+
+
+def _require(**wanted):
+    """Import packages that are wanted: a missing one should fail before minutes are spent."""
+    for package, needed in wanted.items():
+        if needed:
+            import_module(package)
+
+
+def _draw(figure, path):
+    from timo_sim.view.plot import write
+    write(figure, path)
+    click.echo(f'{path} is drawn')
+
+
 @main.command()
-@click.argument('scene')
-@_settings
+@_takes_scene
 @click.option('--input', 'cause', default='torque_N_m', show_default=True, metavar='NAME',
               help='Input of the model: force_x_N, force_y_N, torque_N_m, voltage_V (of a DC '
                    'motor), tip_force_x_N, tip_force_y_N, tip_torque_N_m, push_x_N, push_y_N.')
@@ -102,10 +131,9 @@ _node = click.option('--node', metavar='NAME', help='Full name of the node, if a
               default=['shaft_rad', 'tip_transverse_m', 'root_strain'],
               help='Output of the model, once for each curve: also tip_angle_rad, gyro_rad_per_s, '
                    'tip_acceleration_m_per_s2, ...; a wrong name lists them all.')
-@click.option('--output', '-o', 'picture', type=click.Path(dir_okay=False), default='bode.png',
-              show_default=True, help='Picture to write: PNG, PDF or SVG.')
-def bode(scene: str, settings: tuple[str, ...], cause: str, effects: tuple[str, ...],
-         picture: str) -> None:
+@click.option('--output', '-o', 'picture', type=_FILE, default='bode.png', show_default=True,
+              help='Picture to write: PNG, PDF or SVG.')
+def bode(scene: Scene, cause: str, effects: tuple[str, ...], picture: str) -> None:
     r"""
     Draw the Bode diagram of SCENE, a file or a name, about its initial state.
 
@@ -113,11 +141,8 @@ def bode(scene: str, settings: tuple[str, ...], cause: str, effects: tuple[str, 
         timo_sim bode paper --set arm.damping_ratio=0.01 -o bode.png
     """
     from timo_sim.runs.linear import linearize
-    from timo_sim.scene.scene import load_scene
-    from timo_sim.view import plot
-    model = linearize(load_scene(scene, parse_settings(settings))).select([cause], effects)
-    plot.write(plot.bode(model), picture)
-    click.echo(f'{picture} is drawn')
+    from timo_sim.view.plot import bode
+    _draw(bode(linearize(scene).select([cause], effects)), picture)
 
 
 @main.command()
@@ -150,8 +175,7 @@ def export(file: str, output: str, topic: str | None, bag: bool, node: str | Non
 
 
 @main.command()
-@click.argument('scene')
-@_settings
+@_takes_scene
 @click.option('--output', '-o', type=click.Path(file_okay=False), required=True,
               metavar='FOLDER', help='Folder to write to.')
 @click.option('--target', default='host', show_default=True,
@@ -159,8 +183,7 @@ def export(file: str, output: str, topic: str | None, bag: bool, node: str | Non
 @click.option('--estimate', is_flag=True,
               help='Advance a finer run beside, which measures the error of the tip.')
 @click.option('--name', default='arm', show_default=True, help='First part of all names in C.')
-def export_c(scene: str, settings: tuple[str, ...], output: str, target: str, estimate: bool,
-             name: str) -> None:
+def export_c(scene: Scene, output: str, target: str, estimate: bool, name: str) -> None:
     r"""
     Write SCENE, a parameter file or the name of an installed scene, as a C library.
 
@@ -173,25 +196,22 @@ def export_c(scene: str, settings: tuple[str, ...], output: str, target: str, es
     other library.
     """
     from timo_sim.export.c import export_c
-    from timo_sim.scene.scene import load_scene
-    folder = export_c(load_scene(scene, parse_settings(settings)), output, target, estimate, name)
+    folder = export_c(scene, output, target, estimate, name)
     click.echo(f'{folder} is written: {name}.h, {name}.o, main.c, CMakeLists.txt')
 
 
 @main.command('export-fmu')
-@click.argument('scene')
-@click.option('--output', '-o', type=click.Path(dir_okay=False), required=True,
-              metavar='FILE.fmu', help='FMU to write; an older one is replaced.')
+@_takes_scene
+@click.option('--output', '-o', type=_FILE, required=True, metavar='FILE.fmu',
+              help='FMU to write; an older one is replaced.')
 @click.option('--fmi', type=click.Choice(['2', '3']), default='3', show_default=True,
               help='Version of FMI: 2.0 or 3.0.')
-@_settings
 @click.option('--estimate/--no-estimate', default=True, show_default=True, help=(
     'Advance a finer run beside, for the output estimated_tip_error_m; it takes four to '
     'seven times as long as the run alone.'))
 @click.option('--target', default='host', show_default=True, metavar='NAME', help=(
     'Processor that runs it: host (this one), x86-64-v2 or x86-64-v3 (many).'))
-def export_fmu(scene: str, output: str, fmi: str, settings: tuple[str, ...], estimate: bool,
-               target: str) -> None:
+def export_fmu(scene: Scene, output: str, fmi: str, estimate: bool, target: str) -> None:
     r"""
     Write SCENE, a file or a name, as an FMU for co-simulation on Linux x86-64.
 
@@ -202,9 +222,7 @@ def export_fmu(scene: str, output: str, fmi: str, settings: tuple[str, ...], est
     It needs the C compiler cc.
     """
     from timo_sim.export.fmu import export_fmu
-    from timo_sim.scene.scene import load_scene
-    click.echo(export_fmu(load_scene(scene, parse_settings(settings)), output, int(fmi), estimate,
-                          target))
+    click.echo(export_fmu(scene, output, int(fmi), estimate, target))
 
 
 @main.command()
@@ -221,15 +239,14 @@ def info(file: str) -> None:
 
 
 @main.command()
-@click.argument('scene')
+@_takes_scene
 @click.argument('more', nargs=-1, type=float, metavar='[RAD/S]...')
-@_settings
 @click.option('--speed', multiple=True, type=float, metavar='RAD/S [RAD/S]...', help=(
     'Speeds at which the shaft is turned steadily, with the carrier held.'))
-@click.option('--png', type=click.Path(dir_okay=False), metavar='OUT.png',
+@click.option('--png', type=_FILE, metavar='OUT.png',
               help='Picture to write: shapes; with --speed the Campbell diagram.')
-def modes(scene: str, more: tuple[float, ...], settings: tuple[str, ...],
-          speed: tuple[float, ...], png: str | None) -> None:
+def modes(scene: Scene, more: tuple[float, ...], speed: tuple[float, ...],
+          png: str | None) -> None:
     r"""
     Print frequencies and damping ratios of SCENE, a file or a name, about rest or at shaft speeds.
 
@@ -240,21 +257,19 @@ def modes(scene: str, more: tuple[float, ...], settings: tuple[str, ...],
     The error is relative, from a model with three more modes.
     """
     from timo_sim.runs.modes import modes
-    from timo_sim.scene.scene import load_scene
-    if png:
-        from timo_sim.view.plot import campbell, write
-    built, speeds = load_scene(scene, parse_settings(settings)), (*speed, *more)
-    found = {each: modes(built, each) for each in speeds or (None, 0.0)}
+    _require(matplotlib=png)
+    speeds = *speed, *more
+    found = {each: modes(scene, each) for each in speeds or (None, 0.0)}
     names = {None: 'carrier and shaft as in the scene', 0.0: 'clamped arm'}
     for each, vibrations in found.items():
         click.echo(f'{names.get(each, f"shaft at {each} rad/s")}:\n{vibrations}')
     if png:
-        write(campbell(found) if speeds else found[None].plot(), png)
-        click.echo(f'{png} is drawn')
+        from timo_sim.view.plot import campbell
+        _draw(campbell(found) if speeds else found[None].plot(), png)
 
 
 @main.command()
-@click.argument('file', type=click.Path(dir_okay=False))
+@click.argument('file', type=_FILE)
 def new(file: str) -> None:
     r"""
     Write a short scene to a new FILE, to be changed into your own arm.
@@ -335,10 +350,9 @@ def replay(file: str, settings: tuple[str, ...], formulation: str | None, scene:
 
 
 @main.command()
-@click.argument('scene')
+@_takes_scene
 @click.option('--duration', type=float, default=10.0, show_default=True, help='Sim time [s].')
-@_settings
-@click.option('--output', '-o', type=click.Path(dir_okay=False), help=(
+@click.option('--output', '-o', type=_FILE, help=(
     'File of the run: *.mcap (a log), *.parquet or *.csv. An existing log is never overwritten; '
     '_1, _2, ... is appended.'))
 @click.option('--rate', type=float, metavar='HZ', help=(
@@ -346,12 +360,11 @@ def replay(file: str, settings: tuple[str, ...], formulation: str | None, scene:
 @click.option('--estimate/--no-estimate', default=True, show_default=True,
               help='Measure the error by a finer run.')
 @click.option('--view', is_flag=True, help='Show the run in rerun.')
-@click.option('--png', type=click.Path(dir_okay=False), metavar='OUT.png',
+@click.option('--png', type=_FILE, metavar='OUT.png',
               help='Picture to write: curves over time, and the arm in the plane.')
 @_deflection_scale
-def simulate(scene: str, duration: float, settings: tuple[str, ...], output: str | None,
-             rate: float | None, estimate: bool, view: bool, png: str | None,
-             deflection_scale: float) -> None:
+def simulate(scene: Scene, duration: float, output: str | None, rate: float | None,
+             estimate: bool, view: bool, png: str | None, deflection_scale: float) -> None:
     r"""
     Simulate SCENE, a parameter file or the name of an installed scene, without ROS.
 
@@ -364,35 +377,27 @@ def simulate(scene: str, duration: float, settings: tuple[str, ...], output: str
     from timo_sim.log.tables import check_table
     from timo_sim.runs.simulate import resolve, simulate
     from timo_sim.scene.parameters import ModelWarning, whole_ratio
-    from timo_sim.scene.scene import load_scene
     from timo_sim.simulation.warnings import DivergenceError
-    # What fails should fail before minutes are spent on the run.
     if output and not output.endswith('.mcap'):
         check_table(Path(output), also='.mcap, ')
-    if png:
-        from timo_sim.view import plot
-    if view:
-        import rerun  # noqa: F401
-    if output and output.endswith('.parquet'):
-        import pyarrow  # noqa: F401
-    built, steps = resolve(load_scene(scene, parse_settings(settings)), duration, click.echo)
+    _require(matplotlib=png, rerun=view, pyarrow=output and output.endswith('.parquet'))
+    scene, steps = resolve(scene, duration, click.echo)
     if rate:
-        every = whole_ratio('1/integrator.step', 1.0 / built.step, '--rate', rate)
+        every = whole_ratio('1/integrator.step', 1.0 / scene.step, '--rate', rate)
     else:
-        every = max(1, round(0.01 / built.step))
+        every = max(1, round(0.01 / scene.step))
         every = every if steps % every == 0 else 1
     try:
         with warnings.catch_warnings():
             warnings.simplefilter('ignore', ModelWarning)  # `run.message` has its text
-            run, diverged = simulate(built, duration, every, estimate), None
+            run, diverged = simulate(scene, duration, every, estimate), None
     except DivergenceError as error:
         run, diverged = error.run, error
     click.echo(run.message)
     if output:
         click.echo(f'{run.save(output)} is written')
     if png:
-        plot.write(run.plot(deflection_scale), png)
-        click.echo(f'{png} is drawn')
+        _draw(run.plot(deflection_scale), png)
     if view:
         run.view(deflection_scale=deflection_scale)
     if diverged:
@@ -431,7 +436,7 @@ def sweep(file: str, output: str | None, workers: int | None, scheduler: str | N
     'output; or initial for the whole initial state.'))
 @click.option('--bounds', multiple=True, metavar='NAME=LOW:HIGH', help='Bounds of one of them.')
 @_settings
-@click.option('--mapping', type=click.Path(dir_okay=False), metavar='FILE', multiple=True, help=(
+@click.option('--mapping', type=_FILE, metavar='FILE', multiple=True, help=(
     'YAML file that says which column of a table is which quantity; one for all records, or one '
     'for each, those of --hold-out-record at the end.'))
 @click.option('--outputs', metavar='NAME,NAME', help='Outputs to be fitted; by default all.')
@@ -441,15 +446,15 @@ def sweep(file: str, output: str | None, workers: int | None, scheduler: str | N
               help='Record that is predicted and not fitted.')
 @click.option('--starts', type=int, metavar='COUNT', help=(
     'Starts to be tried; by default up to 16, until the minimum is good or found again.'))
-@click.option('--next', 'further', type=click.Path(dir_okay=False), metavar='NEXT.csv', help=(
+@click.option('--next', 'further', type=_FILE, metavar='NEXT.csv', help=(
     'Table to write: an input for the next record, which narrows the widest interval most.'))
 @click.option('--window', type=float, metavar='SECONDS', help=(
     'Fit windows of about this length, each with an initial state of its own.'))
 @click.option('--loss', default='linear', show_default=True,
               help='Or soft_l1, huber or cauchy, with which outliers weigh less.')
-@click.option('--output', '-o', type=click.Path(dir_okay=False), metavar='FITTED.yaml',
+@click.option('--output', '-o', type=_FILE, metavar='FITTED.yaml',
               help='Parameter file to write: the fitted scene.')
-@click.option('--png', type=click.Path(dir_okay=False), metavar='OUT.png',
+@click.option('--png', type=_FILE, metavar='OUT.png',
               help='Picture to write: measured and predicted outputs of all records.')
 def fit(record: str, more: tuple[str, ...], scene: str | None, free: tuple[str, ...],
         bounds: tuple[str, ...], settings: tuple[str, ...], mapping: tuple[str, ...],
@@ -468,14 +473,11 @@ def fit(record: str, more: tuple[str, ...], scene: str | None, free: tuple[str, 
 
     Exit codes: 0 good; 2 bad input.
     """
-    from pathlib import Path
-
     from timo_sim.fitting.result import fit, read_scene_and_records
     from timo_sim.log.tables import write_table
     from timo_sim.scene.parameters import ModelWarning
     from timo_sim.scene.scene import load_scene
-    if png:
-        from timo_sim.view.plot import write
+    _require(matplotlib=png)
     changes, ends = parse_settings(settings), _parse_bounds(bounds)
     # Names behind the first one of --free arrive among the records, which are files.
     records = [record, *(each for each in more if Path(each).exists())]
@@ -493,8 +495,7 @@ def fit(record: str, more: tuple[str, ...], scene: str | None, free: tuple[str, 
     if output:
         click.echo(f'{found.save(output)} is written')
     if png:
-        write(found.plot(), png)
-        click.echo(f'{png} is drawn')
+        _draw(found.plot(), png)
     if further:
         best, *others = found.next_input()
         click.echo(f'the interval of {best.widest} is the widest; what is left of it with another '
@@ -528,7 +529,7 @@ def teleop(node: str, force: float, torque: float) -> None:
 @click.argument('scene')
 @click.option('--set', 'settings', multiple=True, metavar='NAME=VALUE',
               help='A parameter that differs from the scene, such as frame_prefix=left/.')
-@click.option('--ros2-control', 'library', type=click.Path(dir_okay=False), metavar='LIBRARY.so',
+@click.option('--ros2-control', 'library', type=_FILE, metavar='LIBRARY.so',
               help='Write the scene as a shared object for timo_sim_hardware, and name it in the '
                    'block <ros2_control>; needs the C compiler cc.')
 def urdf(scene: str, settings: tuple[str, ...], library: str | None) -> None:
@@ -559,11 +560,11 @@ def urdf(scene: str, settings: tuple[str, ...], library: str | None) -> None:
 
 @main.command()
 @click.argument('files', nargs=-1, required=True, type=click.Path(exists=True))
-@click.option('--save', type=click.Path(dir_okay=False), metavar='OUT.rrd',
+@click.option('--save', type=_FILE, metavar='OUT.rrd',
               help='Write a file for rerun instead of opening it.')
-@click.option('--png', type=click.Path(dir_okay=False), metavar='OUT.png',
+@click.option('--png', type=_FILE, metavar='OUT.png',
               help='Draw a picture instead, without a screen.')
-@click.option('--gif', type=click.Path(dir_okay=False), metavar='OUT.gif',
+@click.option('--gif', type=_FILE, metavar='OUT.gif',
               help='Draw an animation instead, without rerun.')
 @click.option('--at', type=float, metavar='SECONDS',
               help='Sim time of the picture of --png, and of a frame in the file of --save [s]; '
@@ -587,25 +588,30 @@ def view(files: tuple[str, ...], save: str | None, png: str | None, gif: str | N
         timo_sim view before.mcap after.mcap --png compared.png --at 1.81
         timo_sim view run.mcap --gif run.gif --deflection-scale 5
     """
-    wanted = save or png or web or not gif
+    in_rerun = save or png or web or not gif
     if at is not None and not (png or save):
         from timo_sim.scene.parameters import ParameterError
         raise ParameterError('--at is the time of a picture: it needs --png or --save')
-    if wanted:
-        import rerun  # noqa: F401  # if it is missing, fail before minutes are spent on reading
+    _require(rerun=in_rerun, matplotlib=gif)
+    from timo_sim.log.tables import Recording
+    from timo_sim.log.write import numbered
+    from timo_sim.runs.replay import run_of
+    from timo_sim.view.track import track_of_run
+
+    def track(recording, name):
+        return track_of_run(run_of(recording), name, deflection_scale)
+
+    makers: dict[str, Callable] = {}
+    for file in files:
+        recording = Recording(file, node)
+        name = next(path.stem for path in numbered(recording.path) if path.stem not in makers)
+        makers[name] = partial(track, recording, name)
     if gif:
         from timo_sim.view.plot import animate
-    from timo_sim.log.tables import Recording
-    from timo_sim.view.track import track_of_recording
-    recordings = [Recording(path, node) for path in files]
-    names = unique_names([recording.path.stem for recording in recordings])
-    makers = [partial(track_of_recording, *pair, deflection_scale)
-              for pair in zip(recordings, names)]
-    if gif:
-        animate([maker() for maker in makers], gif, fps)
-    if wanted:
+        animate([maker() for maker in makers.values()], gif, fps)
+    if in_rerun:
         from timo_sim.view.rerun import show_tracks
-        show_tracks(makers, save, png, at, web, fps)
+        show_tracks([*makers.values()], save, png, at, web, fps)
     for path in filter(None, (save, png, gif)):
         click.echo(f'{path} is written')
 
@@ -641,13 +647,3 @@ def _parse_bounds(texts):
                                  f'motor.shaft_inertia=1e-4:0.1; got {text!r}') from None
     return found
 
-
-def unique_names(names: list[str]) -> list[str]:
-    """Return names with a suffix _N after repeated ones, such that all differ."""
-    found: list[str] = []
-    for name in names:
-        numbers, unique = itertools.count(1), name
-        while unique in found or unique != name and unique in names:
-            unique = f'{name}_{next(numbers)}'
-        found.append(unique)
-    return found

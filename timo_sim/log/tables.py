@@ -117,6 +117,7 @@ class Recording:
         self._names = {own if own in topics else usual: 'joint_states',
                        **original_names(self.facts)}
         self._wanted, self.unread = {}, {}
+        self._read: dict[str, Series] = {}
         for number, channel, schema in self._channels():
             short = self.short_name(channel.topic)
             if short in _TYPES:
@@ -212,15 +213,16 @@ class Recording:
             reason = ' '.join(str(error).split())[:300]
             raise LogError(f'{self.title}: its scene cannot be built: {reason}') from None
 
-    @cached_property
+    @property
     def topics(self) -> dict[str, Series]:
         """All series by short name: 'joint_states', '~/tip_pose', ..., '~/motor_torque'."""
         return self.read()
 
     def read(self, *names: str) -> dict[str, Series]:
-        """Return series by short name, by default all."""
+        """Return series by short name, by default all; what was read once is kept."""
+        names = names or tuple(name for name, *_ in self._wanted.values())
         found = {number: about for number, about in self._wanted.items()
-                 if not names or about[0] in names}
+                 if about[0] in names and about[0] not in self._read}
         twice = Counter((part, about[0]) for (part, _), about in found.items()).most_common(1)
         if twice and twice[0][1] > 1:
             raise LogError(f'{self.title} has two channels of {twice[0][0][1]}')
@@ -237,34 +239,37 @@ class Recording:
                         collector.add(resets, record)
                 elif isinstance(record, Metadata):
                     resets += record.name == RESET
-        return {name: self._series(collector) for (name, *_), collector in collectors.items()}
+        self._read |= {name: self._series(each) for (name, *_), each in collectors.items()}
+        return {name: self._read[name] for name, *_ in self._wanted.values() if name in names}
 
-    def motion(self, series: dict[str, Series] | None = None) -> tuple[
-            np.ndarray, np.ndarray, np.ndarray]:
+    def motion(self) -> tuple[np.ndarray, np.ndarray, np.ndarray]:
         """
         Return the motion at the samples of joint_states that have a modal_state.
 
-        `series` is what `read` returned for these, if they have been read already. The results are
-        time step and sim time [ns], int64, shape (n,), and the motion, shape (n, 2 (3 + N)), see
-        `model.layout`. The step of a reset may occur twice: before and after it. Raises LogError
-        if these topics or the scene are missing.
+        The results are time step and sim time [ns], int64, shape (n,), n > 0, and the motion,
+        shape (n, 2 (3 + N)), see `model.layout`. The step of a reset may occur twice: before and
+        after it. Raises LogError if these topics, common samples of them or the scene are missing.
         """
         if self.scene is None:
             raise self.lacks(f'{self.name}/scene, so that the simulated scene is not known: '
                              'timo_sim export makes a table of it')
-        found = self.read('joint_states', '~/modal_state') if series is None else series
+        found = self.read('joint_states', '~/modal_state')
         if 'joint_states' not in found:
             raise self.lacks(f'joint_states of {self.name}')
         joints, modes = found['joint_states'], found.get('~/modal_state')
-        if modes is None:
-            if self.scene.modal_count:
-                raise self.lacks(f'modal_state of {self.name}')
-            return joints.step, joints.ns, joints.values[:, :6]
-        first, second = common(joints.ns, modes.ns)
-        q, rates = np.hsplit(modes.values[second], 2)
-        position, velocity = joints.values[first, :3], joints.values[first, 3:6]
-        return (joints.step[first], joints.ns[first],
-                np.hstack([position, q, velocity, rates]))
+        if modes is not None:
+            first, second = common(joints.ns, modes.ns)
+            q, rates = np.hsplit(modes.values[second], 2)
+            position, velocity = joints.values[first, :3], joints.values[first, 3:6]
+            motion = np.hstack([position, q, velocity, rates])
+        elif self.scene.modal_count:
+            raise self.lacks(f'modal_state of {self.name}')
+        else:
+            first, motion = slice(None), joints.values[:, :6]
+        if not len(motion):
+            raise self.lacks('joint_states with a modal_state of the same time: choose rates of '
+                             'which one is a multiple of the other')
+        return joints.step[first], joints.ns[first], motion
 
     def lacks(self, what: str) -> LogError:
         """Return a LogError about what is missing, and about topics that are not read."""

@@ -11,7 +11,6 @@ from typing import Any, NamedTuple
 
 import numpy as np
 
-from timo_sim.log.tables import Recording
 from timo_sim.model.layout import INPUTS
 from timo_sim.scene.parameters import Parameter
 from timo_sim.scene.scene import Scene
@@ -98,26 +97,11 @@ class Track:
 
 
 def track_of_run(run: Any, name: str = 'run', deflection_scale: float = 1.0) -> Track:
-    """Return the track of a `Run`."""
-    if run.recording is not None:
-        return track_of_recording(run.recording, name, deflection_scale)
+    """Return the track of a `Run`; that of a log has no balance of its energy."""
     ns = np.rint(run.t * 1e9).astype(np.int64)
-    return track_of_motion(name, run.scene, ns, run.values, run.effort, run.friction_heat,
-                           run.payloads, deflection_scale)
-
-
-def track_of_recording(recording: Recording, name: str, deflection_scale: float = 1.0) -> Track:
-    """Return the track of a `log.tables.Recording`; raise LogError if it lacks a motion."""
-    series = recording.read('joint_states', '~/modal_state')
-    _, ns, motion = recording.motion(series)
-    if not len(ns):
-        raise recording.lacks('joint_states with a modal_state of the same time: choose rates of '
-                              'which one is a multiple of the other')
-    joints = series['joint_states']
-    place = slice(None) if len(ns) == len(joints.ns) else (
-        np.searchsorted(joints.ns, ns, side='right') - 1)
-    return track_of_motion(name, recording.scene, ns, motion, joints.values[place, 6:9],
-                           None, recording.payloads, deflection_scale)
+    heat = run.friction_heat if run.recording is None else None
+    return track_of_motion(name, run.scene, ns, run.values, run.effort, heat, run.payloads,
+                           deflection_scale)
 
 
 def track_of_motion(name: str, scene: Scene, ns: np.ndarray, motion: np.ndarray,
