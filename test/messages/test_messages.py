@@ -101,7 +101,7 @@ def test_rosbags_reads_the_frames():
 def test_numbers_are_counted_in_the_order_of_the_template():
     template = {'effort': [A], 'name': ['x'], 'position': [B, 7.0, C]}
     assert columns(template) == ('a', 'b', 'c')
-    assert form('sensor_msgs/msg/JointState', template).places == (3, 0, 2)
+    assert form('sensor_msgs/msg/JointState', template)[2] == (3, 0, 2)
     data = Serializer('sensor_msgs/msg/JointState', template)((1, 2), [10.0, 20.0, 30.0])
     assert data == pack('sensor_msgs/msg/JointState', {
         'header': {'stamp': {'sec': 1, 'nanosec': 2}}, 'name': ['x'],

@@ -202,7 +202,7 @@ class _Walk:
 
     def __init__(self, data):
         self._data, self.place = data, _START
-        self._in_a_row = False  # whether further float64 belong to the last of `found.lists`
+        self._list_goes_on = False  # whether a float64 belongs to the last of `found.lists`
         self.found = Layout(0, [], [], [], [], [0, 1])
         if bytes(data[:2]) != _LITTLE_ENDIAN:
             raise CdrError(f'its encoding is {bytes(data[:2])!r}, not {_LITTLE_ENDIAN!r}')
@@ -211,7 +211,10 @@ class _Walk:
         if type_name == 'builtin_interfaces/msg/Time':
             self.found.stamps.append(self._pass(8, 4))
         elif type_name == 'float64':
-            self._doubles(1)
+            if not self._list_goes_on:
+                self._begin_list()
+            self.found.lists[-1] += 1
+            self.found.doubles.append(self._pass(8, 8))
         elif type_name == 'string':
             text = bytes(self._data[slice(*self._fixed(self._count(), 1))])
             self.found.texts.append(text.removesuffix(b'\0').decode(errors='replace'))
@@ -220,29 +223,16 @@ class _Walk:
             self._fixed(size, size)
         else:
             for field in fields(type_name):
-                self._field(field.type_name, field.length)
+                own_list = field.type_name == 'float64' and field.length == 0
+                if own_list:
+                    self._begin_list()
+                for _ in range(1 if field.length is None else field.length or self._count()):
+                    self.value(field.type_name)
+                self._list_goes_on &= not own_list
 
-    def _field(self, type_name, length):
-        if length is None:
-            self.value(type_name)
-        elif type_name != 'float64':
-            for _ in range(length or self._count()):
-                self.value(type_name)
-        elif length:
-            self._doubles(length)
-        else:
-            self.found.lists.append(0)
-            self._in_a_row = True
-            self._doubles(self._count())
-            self._in_a_row = False
-
-    def _doubles(self, count):
-        if not self._in_a_row:
-            self._in_a_row = True
-            self.found.lists.append(0)
-        if count:  # an empty sequence is not followed by padding
-            self.found.lists[-1] += count
-            self.found.doubles.extend(range(self._pass(8 * count, 8), self.place, 8))
+    def _begin_list(self):
+        self.found.lists.append(0)
+        self._list_goes_on = True
 
     def _count(self):
         return struct.unpack_from('<I', self._data, self._fixed(4, 4)[0])[0]
@@ -282,16 +272,8 @@ def columns(template: Any) -> tuple[str, ...]:
     return tuple(filter(None, found))
 
 
-class Form(NamedTuple):
-    """A message made from a template, and where its numbers are."""
-
-    data: bytes
-    layout: Layout
-    places: tuple  # index of each Number among all float64 of the message
-
-
-def form(type_name: str, template: Mapping[str, Any]) -> Form:
-    """Return the Form of a template."""
+def form(type_name: str, template: Mapping[str, Any]) -> tuple[bytes, Layout, tuple[int, ...]]:
+    """Return a message of a template, its Layout, and which of its float64 each Number is."""
     marks: list[tuple[bool, float]] = []
 
     def mark(number):  # with a value that no template holds: 5e-324, 1e-323, ...
@@ -301,7 +283,7 @@ def form(type_name: str, template: Mapping[str, Any]) -> Form:
     data = pack(type_name, _filled(template, mark))
     found = layout(type_name, data)
     doubles = [struct.unpack_from('<d', data, place)[0] for place in found.doubles]
-    return Form(data, found, tuple(doubles.index(value) for _, value in sorted(marks)))
+    return data, found, tuple(doubles.index(value) for _, value in sorted(marks))
 
 
 def _filled(template, value):

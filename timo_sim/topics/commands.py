@@ -10,7 +10,6 @@ from typing import Any, NamedTuple
 import numpy as np
 
 from timo_sim.model.layout import Input, INPUTS, LOADS, rotate, TIP_I, TIP_II
-from timo_sim.topics.outputs import FRAMES
 
 # Commanded values have the columns of a load, and two more: a force on the tip in the axes of the
 # tip, which `load_of_commands` turns into a load.
@@ -27,7 +26,6 @@ for _column, _input in enumerate(_COMMANDED):
     if _input.group:
         GROUPS.setdefault(_input.group, []).append(_column)
 JOINTS = 'carrier_x', 'carrier_y', 'shaft'
-DEFAULT_FRAMES = {name: name for name in FRAMES}  # frames under their default names
 LARGEST_COMMAND = 65536  # [B] of a command that is accepted; ordinary ones have some hundreds
 
 
@@ -35,14 +33,14 @@ class RefusedError(ValueError):
     """A command is not applied; the text says why."""
 
 
-def _finite(numbers):
+def _check_finite(numbers):
     if not all(map(math.isfinite, numbers)):
         raise RefusedError('every component must be finite')
 
 
 def _forces(texts, numbers, names):
     """Return (x, y) for each frame of `names`: the force in the wrench's frame, else zeros."""
-    _finite(numbers)
+    _check_finite(numbers)
     frame = texts[0] or names[0]
     if frame not in names:
         raise RefusedError(f'frame_id must be empty, {", ".join(map(repr, names[:-1]))} or '
@@ -76,7 +74,7 @@ def _joint_command(texts, lists, frames):
     given = {name: effort for name, effort in zip(names, efforts) if name in JOINTS}
     # NaN is what ros2_control sends for a joint that no controller has claimed.
     claimed = {name for name, effort in given.items() if not math.isnan(effort)}
-    _finite(given[name] for name in claimed)
+    _check_finite(given[name] for name in claimed)
     found: dict[str, tuple] = {}
     if claimed - {'shaft'}:
         found['carrier'] = given.get('carrier_x', 0.0), given.get('carrier_y', 0.0), 0.0, 0.0
@@ -89,7 +87,7 @@ def _commands(texts, lists, frames):
     if len(lists[0]) != len(JOINTS):
         raise RefusedError(f'data must have {len(JOINTS)} elements, for {", ".join(JOINTS)}, got '
                            f'{len(lists[0])}')
-    _finite(lists[0])
+    _check_finite(lists[0])
     return _joint_command(['', *JOINTS], lists, frames)
 
 
@@ -119,7 +117,7 @@ class Command(NamedTuple):
         return tuple(_COMMANDED[column].column for column in self.columns)
 
     def row(self, texts: Sequence[str], lists: Sequence[Sequence[float]],
-            frames: Mapping[str, str] = DEFAULT_FRAMES) -> np.ndarray:
+            frames: Mapping[str, str]) -> np.ndarray:
         """Return values for its columns [N, N m, V], NaN where it sets none; or RefusedError."""
         found = self.load(texts, lists, frames)
         return np.concatenate([found.get(group, [math.nan] * len(GROUPS[group]))

@@ -173,12 +173,12 @@ class Output(NamedTuple):
     @property
     def places(self) -> tuple[int, ...]:
         """Indices of the numbers among the float64 of a message."""
-        return form(self.type_name, self.template).places[:len(self.columns)]
+        return form(self.type_name, self.template)[2][:len(self.columns)]
 
     @property
     def texts(self) -> Sequence[str]:
         """Texts of a message: the frame of the header, names of joints, ..."""
-        return form(self.type_name, self.template).layout.texts
+        return form(self.type_name, self.template)[1].texts
 
 
 def _numbers(*names):

@@ -213,12 +213,12 @@ class Entities:
         trails = np.moveaxis(np.lib.stride_tricks.sliding_window_view(trail, _TRAIL, axis=0), 1, 2)
         for name, columns in {
                 'ghost': rr.LineStrips2D.columns(
-                    strips=_floats(np.stack([root, straight], axis=1))),
-                'trail': rr.LineStrips2D.columns(strips=_floats(trails)),
-                'carrier': rr.Boxes2D.columns(centers=_floats(root)),
-                'motor': rr.Points2D.columns(positions=_floats(root)),
-                'arm': rr.LineStrips2D.columns(strips=_floats(poses.line)),
-                'end_effector': rr.Points2D.columns(positions=_floats(tip))}.items():
+                    strips=np.stack([root, straight], axis=1)),
+                'trail': rr.LineStrips2D.columns(strips=trails),
+                'carrier': rr.Boxes2D.columns(centers=root),
+                'motor': rr.Points2D.columns(positions=root),
+                'arm': rr.LineStrips2D.columns(strips=poses.line),
+                'end_effector': rr.Points2D.columns(positions=tip)}.items():
             self._stream.send_columns(f'{self._path}/{name}', [_time(ns)], columns)
 
     def name_curves(self, panel: str, names: Sequence[str]) -> None:
@@ -261,10 +261,6 @@ def _log_plane(stream, bounds):
 
 def _time(ns):
     return rr.TimeColumn(_TIMELINE, duration=np.asarray(ns).astype('timedelta64[ns]'))
-
-
-def _floats(values):
-    return np.ascontiguousarray(values, dtype=np.float32)
 
 
 def _blueprint(panels, bounds, runs=1, live=False, span=0.0):
