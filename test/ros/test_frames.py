@@ -106,7 +106,7 @@ def test_frames_of_tf_have_these_names_and_names_that_tf_would_refuse_are_refuse
 def driven(scene, frame='tip'):
     """Return a simulator after DURATION under the force."""
     simulator, commanded = Simulator(scene), np.zeros(COMMANDED)
-    TIP.apply(TIP.row([frame], [FORCE]), commanded)
+    TIP.apply(TIP.row([frame], [FORCE], frame_names({})), commanded)
     for _ in range(round(DURATION / scene.step)):
         simulator.advance(1, load_of_commands(commanded, simulator))
     return simulator
