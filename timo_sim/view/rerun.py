@@ -26,8 +26,8 @@ from tqdm import tqdm
 
 from timo_sim.scene.files import whole_file
 from timo_sim.scene.parameters import Parameter, ParameterError
-from timo_sim.scene.scene import load_scene, Scene
-from timo_sim.view.track import body_of, FPS, Poses, Track, track_of_motion
+from timo_sim.scene.scene import load_scene
+from timo_sim.view.track import body_of, FPS, Poses, Trace, Track, track_of_motion
 
 _TIMELINE = 'sim_time'
 _PLANE, _CURVES, _ABOUT = 'plane', 'curves', 'about'
@@ -39,7 +39,7 @@ _TRAIL = 90  # frames of the tip's trail
 _BLOCK = 65536  # samples, or frames, that are sent at once
 # By panel of differences: the trace that is compared, and its columns.
 _DIFFERENCES: dict[str, tuple[str, Any]] = {
-    'difference': ('tip_deflection', 0), 'shaft_difference': ('shaft', 0),
+    'difference': ('tip_deflection', slice(1)), 'shaft_difference': ('shaft', slice(1)),
     'carrier_difference': ('carrier', slice(None))}
 # Titles of the panels, in the order in which they are shown.
 _TITLES = {
@@ -105,12 +105,9 @@ def _send(stream, tracks, fps, at):
         for part in _blocks(len(frames[run])):
             picked = frames[run][part]
             entities.send_poses(track.ns[picked], track.poses(picked))
-        for trace in track.traces:
-            entities.name_curves(trace.panel, trace.names)
-            entities.send_curves(trace.panel, trace.ns, trace.values)
+        for trace in (*track.traces, *(_differences(track, tracks[0]) if run else ())):
+            entities.send_curves(trace)
             panels[trace.panel] = len(trace.names)
-        if run:
-            _send_differences(entities, tracks[0], track, panels)
     # The axis of the balance has a thousandth of the energy at least: round-off is a flat line.
     span = max((1e-3 if trace.panel == 'energy' else 1.1) * np.abs(trace.values).max()
                for track in tracks for trace in track.traces
@@ -135,7 +132,8 @@ def _extent(tracks, frames):
     return np.array([low - 0.05 * np.max(high - low), high])  # room for the numbers at the grid
 
 
-def _send_differences(entities, first, track, panels):
+def _differences(track, first):
+    """Yield the Traces of what a track differs in from the first, where both have samples."""
     for panel, (source, columns) in _DIFFERENCES.items():
         ours, theirs = track.trace(source), first.trace(source)
         inside = (ours.ns >= theirs.ns[0]) & (ours.ns <= theirs.ns[-1])
@@ -144,11 +142,8 @@ def _send_differences(entities, first, track, panels):
         ns = ours.ns[inside]
         values = ours.values[inside] - np.column_stack(
             [np.interp(ns, theirs.ns, column) for column in theirs.values.T])
-        values = values[:, columns].reshape(len(ns), -1)
-        names = np.array(ours.names)[columns].reshape(-1)
-        entities.name_curves(panel, [f'{text} less {first.name}' for text in names])
-        entities.send_curves(panel, ns, values)
-        panels[panel] = len(names)
+        yield Trace(panel, tuple(f'{text} less {first.name}' for text in ours.names[columns]),
+                    ns, values[:, columns])
 
 
 def _about(tracks, fps):
@@ -175,6 +170,7 @@ class Entities:
         self._stream, self._name, self._run, self._runs = stream, track.name, run, runs
         self._body, self._path = track.body, f'{_PLANE}/{track.name}'
         self._trail: np.ndarray | None = None
+        self._named: set[str] = set()  # paths of curves
         body, points = track.body, rr.Radius.ui_points
         own, line = self._colour(), 0.5 * body.thickness
         grey, tip = (_TICKS, _COLOURS[5]) if self._runs == 1 else (own, own)
@@ -212,8 +208,7 @@ class Entities:
         self._trail = trail[1 - _TRAIL:]
         trails = np.moveaxis(np.lib.stride_tricks.sliding_window_view(trail, _TRAIL, axis=0), 1, 2)
         for name, columns in {
-                'ghost': rr.LineStrips2D.columns(
-                    strips=np.stack([root, straight], axis=1)),
+                'ghost': rr.LineStrips2D.columns(strips=np.stack([root, straight], axis=1)),
                 'trail': rr.LineStrips2D.columns(strips=trails),
                 'carrier': rr.Boxes2D.columns(centers=root),
                 'motor': rr.Points2D.columns(positions=root),
@@ -221,19 +216,20 @@ class Entities:
                 'end_effector': rr.Points2D.columns(positions=tip)}.items():
             self._stream.send_columns(f'{self._path}/{name}', [_time(ns)], columns)
 
-    def name_curves(self, panel: str, names: Sequence[str]) -> None:
-        """Log names and colours of the curves in a panel."""
-        self._stream.log(f'{_CURVES}/{panel}/{self._name}', rr.SeriesLines(
-            names=[f'{self._name}: {text}' if self._runs > 1 else text for text in names],
-            colors=[self._colour(curve) for curve in range(len(names))], widths=1.5), static=True)
-
-    def send_curves(self, panel: str, ns: np.ndarray, values: np.ndarray) -> None:
-        """Send samples of the curves in a panel at sim times, (m,) [ns]; values are (m, k)."""
-        for part in _blocks(len(ns)):
+    def send_curves(self, trace: Trace) -> None:
+        """Send samples of a Trace, and names and colours of its curves with the first."""
+        path, names = f'{_CURVES}/{trace.panel}/{self._name}', trace.names
+        if path not in self._named:
+            self._named.add(path)
+            self._stream.log(path, rr.SeriesLines(
+                names=[f'{self._name}: {text}' if self._runs > 1 else text for text in names],
+                colors=[self._colour(curve) for curve in range(len(names))], widths=1.5),
+                static=True)
+        for part in _blocks(len(trace.ns)):
             self._stream.send_columns(
-                f'{_CURVES}/{panel}/{self._name}', [_time(ns[part])],
-                rr.Scalars.columns(scalars=np.ravel(values[part])).partition(
-                    np.full(len(values[part]), values.shape[1])))
+                path, [_time(trace.ns[part])],
+                rr.Scalars.columns(scalars=np.ravel(trace.values[part])).partition(
+                    np.full(len(trace.ns[part]), len(names))))
 
 
 def _log_plane(stream, bounds):
@@ -438,41 +434,36 @@ def _until(condition, process):
     raise ViewerError(f'the viewer of rerun did not answer within {_LOADING:g} s')
 
 
-class Stream:
-    """Shows a growing run of a Scene, with the name of its node, in the viewer at an address."""
+def _show_live(url, name, scene, waiting, ended):
+    """
+    Show a run of a Scene in the viewer at an address, until it has ended, a threading.Event.
 
-    def __init__(self, url: str, name: str, scene: Scene) -> None:
-        self._scene, self._name = scene, name.strip('/').replace('/', '_')
-        self._stream = rr.RecordingStream('timo_sim')
-        self._stream.connect_grpc(url)
-        start, margin = scene.initial_motion(), 1.3 * body_of(scene).length
-        bounds = np.array([start[:2] - margin, start[:2] + margin])
-        _log_plane(self._stream, bounds)
-        self._stream.log(_ABOUT, rr.TextDocument(
-            f'**{name}**, live: 30 samples per second of wall time, also in the curves'
-            ' (a log has all)', media_type='text/markdown'), static=True)
-        first = self._track(np.concatenate([[0.0], start, np.zeros(3)])[np.newaxis])
-        self._entities = Entities(self._stream, first, 0, 1, bounds)
-        for trace in first.traces:
-            self._entities.name_curves(trace.panel, trace.names)
-        self._stream.send_blueprint(_blueprint(
-            {trace.panel: len(trace.names) for trace in first.traces}, bounds, live=True))
+    `waiting` is a deque of samples to be sent: sim time [ns], motion and effort; it grows.
+    """
+    def track_of(samples):
+        return track_of_motion(name.strip('/').replace('/', '_'), scene,
+                               samples[:, 0].astype(np.int64), samples[:, 1:-3], samples[:, -3:])
 
-    def _track(self, samples):
-        return track_of_motion(
-            self._name, self._scene, samples[:, 0].astype(np.int64), samples[:, 1:-3],
-            samples[:, -3:])
-
-    def send(self, samples: np.ndarray) -> None:
-        """Send samples, shape (m, 1 + 2 (3 + N) + 3): time [ns], motion, effort."""
-        track = self._track(samples)
-        self._entities.send_poses(track.ns, track.poses(slice(None)))
-        for trace in track.traces:
-            self._entities.send_curves(trace.panel, track.ns, trace.values)
-
-    def flush(self) -> None:
-        """Wait up to a second until all is sent."""
-        self._stream.flush(timeout_sec=_FLUSHING)
+    stream = rr.RecordingStream('timo_sim')
+    stream.connect_grpc(url)
+    start, margin = scene.initial_motion(), 1.3 * body_of(scene).length
+    bounds = np.array([start[:2] - margin, start[:2] + margin])
+    _log_plane(stream, bounds)
+    stream.log(_ABOUT, rr.TextDocument(
+        f'**{name}**, live: 30 samples per second of wall time, also in the curves (a log has '
+        'all)', media_type='text/markdown'), static=True)
+    track = track_of(np.concatenate([[0.0], start, np.zeros(3)])[np.newaxis])
+    entities = Entities(stream, track, 0, 1, bounds)
+    stream.send_blueprint(_blueprint(
+        {trace.panel: len(trace.names) for trace in track.traces}, bounds, live=True))
+    while not ended.wait(_PERIOD) or waiting:
+        samples = [waiting.popleft() for _ in range(len(waiting))]
+        if samples:
+            track = track_of(np.array(samples))
+            entities.send_poses(track.ns, track.poses(slice(None)))
+            for trace in track.traces:
+                entities.send_curves(trace)
+    stream.flush(timeout_sec=_FLUSHING)
 
 
 def main(url: str, name: str, number: str) -> None:
@@ -480,16 +471,8 @@ def main(url: str, name: str, number: str) -> None:
     with open(int(number)) as values:
         scene = load_scene(json.load(values))
     waiting, ended = deque(maxlen=_MOST_WAITING), threading.Event()
-
-    def work():
-        stream = Stream(url, name, scene)
-        while not ended.wait(_PERIOD) or waiting:
-            samples = [waiting.popleft() for _ in range(len(waiting))]
-            if samples:
-                stream.send(np.array(samples))
-        stream.flush()
-
-    worker = threading.Thread(target=work, daemon=True)
+    worker = threading.Thread(
+        target=_show_live, args=(url, name, scene, waiting, ended), daemon=True)
     worker.start()
     size = 8 * (1 + scene.build().size + 3)
     while len(data := sys.stdin.buffer.read(size)) == size:
