@@ -4,6 +4,7 @@
 """Sends samples of a running simulation to a process that streams them to a viewer."""
 
 from collections.abc import Callable, Sequence
+from contextlib import suppress
 from importlib.util import find_spec
 import json
 import os
@@ -11,7 +12,6 @@ import re
 import socket
 import subprocess
 import sys
-import tempfile
 
 import numpy as np
 
@@ -51,17 +51,14 @@ class Feed:
             self.warning = f'rerun_live: no viewer listens at {url} yet: {error}'
         # In a session of its own, so that Ctrl+C ends only the node, which then ends this. It
         # imports from where this process does, and not from the working directory.
-        # The scene is in a file, because the system limits the length of an argument.
         path = os.pathsep.join(entry or os.getcwd() for entry in sys.path)
-        with tempfile.TemporaryFile('w+') as values:
-            json.dump(dict(scene.values), values)
-            values.seek(0)
-            self._process = subprocess.Popen(
-                [sys.executable, '-P', '-m', 'timo_sim.view.rerun', url, name,
-                 str(values.fileno())], pass_fds=[values.fileno()], stdin=subprocess.PIPE,
-                start_new_session=True, env={**os.environ, 'PYTHONPATH': path})
+        self._process = subprocess.Popen(
+            [sys.executable, '-P', '-m', 'timo_sim.view.rerun', url, name],
+            stdin=subprocess.PIPE, start_new_session=True, env={**os.environ, 'PYTHONPATH': path})
         assert self._process.stdin is not None
         self._stream = self._process.stdin
+        with suppress(BrokenPipeError):
+            os.write(self._stream.fileno(), json.dumps(dict(scene.values)).encode() + b'\n')
         os.set_blocking(self._stream.fileno(), False)
         self._due = 0.0
 
@@ -71,11 +68,10 @@ class Feed:
         if now < self._due:
             return
         self._due = now + _PERIOD
-        try:  # a pipe takes so few bytes, below PIPE_BUF, as a whole or not at all
+        # A pipe takes so few bytes, below PIPE_BUF, as a whole or not at all.
+        with suppress(BlockingIOError, BrokenPipeError):
             os.write(self._stream.fileno(), np.concatenate(
                 [[simulator.nanoseconds], simulator.motion.values, effort()]).tobytes())
-        except (BlockingIOError, BrokenPipeError):
-            pass
 
     def close(self) -> None:
         """End the stream; the process has two seconds to send its last samples."""

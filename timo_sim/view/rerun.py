@@ -466,10 +466,9 @@ def _show_live(url, name, scene, waiting, ended):
     stream.flush(timeout_sec=_FLUSHING)
 
 
-def main(url: str, name: str, number: str) -> None:
-    """Stream samples from standard input; file descriptor `number` has a scene's values, JSON."""
-    with open(int(number)) as values:
-        scene = load_scene(json.load(values))
+def main(url: str, name: str) -> None:
+    """Stream what standard input has: a line with a scene's values, JSON, then samples."""
+    scene = load_scene(json.loads(sys.stdin.buffer.readline()))
     waiting, ended = deque(maxlen=_MOST_WAITING), threading.Event()
     worker = threading.Thread(
         target=_show_live, args=(url, name, scene, waiting, ended), daemon=True)
