@@ -115,7 +115,7 @@ def test_imports_point_down():
     assert importing('rclpy', 'std_msgs', 'sensor_msgs', 'geometry_msgs') == {'ros'}
     # A log notes their versions; an export writes LLVM's code of its interface.
     assert importing('numba', 'llvmlite') == {'compiled', 'export', 'log'}
-    assert importing('rerun') == {'view', 'cli'}
+    assert importing('rerun') == {'view'}
     assert not {'model', 'steps', 'topics'} & importing('pathlib', 'yaml', 'mcap', 'os')
 
 

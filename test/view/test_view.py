@@ -284,8 +284,8 @@ def test_a_floor_is_under_the_carrier_where_there_is_gravity(run, shown, tmp_pat
     leaning.save(tmp_path / 'leaning.mcap')
     # A cube of 5 kg has sides of 0.12 m in the arm's material.
     below, down = start + 0.5 * (5.0 / 2710.0)**(1 / 3) * gravity / 5.0, gravity / 5.0
-    for name, track in (('run', track_of_run(leaning)),
-                        ('log', track_of_run(timo_sim.open_log(tmp_path / 'leaning.mcap'), 'log'))):
+    log = timo_sim.open_log(tmp_path / 'leaning.mcap')
+    for name, track in ('run', track_of_run(leaning)), ('log', track_of_run(log, 'log')):
         assert 'Gravity is 5 m/s2' in track.note
         path = tmp_path / f'{name}.rrd'
         write([track], path)

@@ -646,4 +646,3 @@ def _parse_bounds(texts):
             raise ParameterError(f'--bounds takes NAME=LOW:HIGH, such as '
                                  f'motor.shaft_inertia=1e-4:0.1; got {text!r}') from None
     return found
-

@@ -147,9 +147,8 @@ def _read_summary(stream: BinaryIO) -> Summary:
         raise ValueError('the checksum of the summary is wrong')
     stream.seek(0)  # where mcap reads the magic
     found = SeekingReader(stream, record_size_limit=_LARGEST_RECORD).get_summary()
-    known = found and found.statistics
-    if not known or len(found.schemas) < known.schema_count or (
-            len(found.channels) < known.channel_count
+    if not found or not (known := found.statistics) or (
+            len(found.schemas) < known.schema_count or len(found.channels) < known.channel_count
             or len(found.metadata_indexes) < known.metadata_count):
         raise ValueError('its summary is incomplete')
     return found
@@ -381,7 +380,7 @@ def _write(records, profile, path, output):
         writer, chunk = Writer(stream, profile), Chunk()
         for record in records:
             if isinstance(record, bytes):
-                chunk.add(*MESSAGE.unpack_from(record), record[MESSAGE.size:])
+                chunk.add(record[MESSAGE.size:], *MESSAGE.unpack_from(record))
                 if len(chunk.data) < CHUNK_SIZE:
                     continue
             if chunk.data:

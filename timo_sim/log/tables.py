@@ -131,18 +131,19 @@ class Recording:
 
     def _read_scene(self):
         """Take start, resets and changes from ~/scene, if a bag has it."""
-        told = []
+        received = []
         for (part, number), channel, schema in self._channels():
             if channel.topic != f'{self.name}/scene' or not schema or schema.name != TEXT:
                 continue
             for record in self.parts[part].records():
                 if isinstance(record, bytes):
                     channel, _, _, sent = MESSAGE.unpack_from(record)
-                    told += [(sent, record[MESSAGE.size:])] * (channel == number)
-        if not told:
+                    received += [(sent, record[MESSAGE.size:])] * (channel == number)
+        if not received:
             return
         try:
-            told = [(sent, json.loads(layout(TEXT, data).texts[0])) for sent, data in sorted(told)]
+            told = [(sent, json.loads(layout(TEXT, data).texts[0]))
+                    for sent, data in sorted(received)]
             steps = [index(message['step']) for _, message in told]
             events = [message['event'] for _, message in told]
             given = [dict(message['set']) for _, message in told]
@@ -481,7 +482,7 @@ class _Collector:
         log_ns = heads['publish_time' if self._in_bag else 'log_time'].astype(np.int64)
         try:
             if self.command:
-                kept, ns, values = self._read_commands(data)
+                kept, ns, values = self._read_commands(self.command, data)
                 ns = ns if self._in_bag else log_ns[kept]
             else:
                 kept, (ns, values) = slice(None), self._read_outputs(data)
@@ -491,19 +492,20 @@ class _Collector:
         self._parts.append((np.array(resets)[kept], heads['sequence'].astype(np.int64)[kept],
                             log_ns[kept], ns, values, data[kept]))
 
-    def _read_commands(self, data):
+    def _read_commands(self, command, data):
         """Return which of n messages are not refused, their stamps or 0 [ns], and their rows."""
-        kept, stamps, rows, alike = [], [], [], None
+        kept, stamps, rows = [], [], []
+        size, alike, fixed = -1, itemgetter(0), None  # of the last layout
         for number, message in enumerate(data):
             if len(message) > LARGEST_COMMAND:
                 raise CdrError(f'it has {len(message)} bytes')
-            if not alike or len(message) != size or alike(message) != fixed:
+            if len(message) != size or alike(message) != fixed:
                 found, size = layout(self._type_name, message), len(message)
                 alike = itemgetter(*found.fixed)
                 fixed = alike(message)
             numbers = [unpack_from('<d', message, place)[0] for place in found.doubles]
             try:
-                rows.append(self.command.row(found.texts, found.split(numbers), self._frames))
+                rows.append(command.row(found.texts, found.split(numbers), self._frames))
             except RefusedError:
                 self.refused += 1
                 continue

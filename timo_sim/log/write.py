@@ -148,8 +148,8 @@ class Chunk:
         self.data = bytearray()
         self.index: defaultdict[int, list[int]] = defaultdict(list)
 
-    def add(self, channel: int, sequence: int, log_time: int, publish_time: int,
-            data: bytes) -> None:
+    def add(self, data: bytes, channel: int, sequence: int, log_time: int,
+            publish_time: int) -> None:
         """Append a message with its times [ns]."""
         self.index[channel] += log_time, len(self.data)
         self.data += _HEAD_AND_MESSAGE.pack(
@@ -366,7 +366,7 @@ class Recorder:
             return
         logged = time.time_ns() if self._wall else stamp
         with self._lock:
-            self._chunk.add(index + 1, step & 0xffffffff, logged, logged, data)
+            self._chunk.add(data, index + 1, step & 0xffffffff, logged, logged)
             if len(self._chunk.data) < CHUNK_SIZE:
                 return
         self._pass_on()
