@@ -619,30 +619,28 @@ def view(files: tuple[str, ...], save: str | None, png: str | None, gif: str | N
 def parse_settings(settings: Iterable[str]) -> dict[str, Any]:
     """Return values by name from texts such as 'model.modes=5', with values in YAML."""
     from timo_sim.scene.files import parse_yaml
-    from timo_sim.scene.parameters import ParameterError
-    values = {}
-    for text in settings:
-        name, equals, value = text.partition('=')
-        try:
-            values[name.strip()] = parse_yaml(value, name)
-        except ParameterError:
-            equals = ''
-        if not equals:
-            raise ParameterError(f'--set takes NAME=VALUE, such as model.modes=5; got {text!r}')
-    return values
+    return _parse(settings, lambda value: parse_yaml(value, '--set'),
+                  '--set takes NAME=VALUE, such as model.modes=5')
 
 
 def _parse_bounds(texts):
+    def ends_of(text):
+        low, high = text.split(':')
+        return float(low or '-inf'), float(high or 'inf')
+    return _parse(texts, ends_of,
+                  '--bounds takes NAME=LOW:HIGH, such as motor.shaft_inertia=1e-4:0.1')
+
+
+def _parse(texts, value_of, rule):
+    """Return values by name from texts NAME=VALUE; ParameterError, with the rule, for another."""
     from timo_sim.scene.parameters import ParameterError
     found = {}
     for text in texts:
-        name, _, ends = text.partition('=')
-        low, colon, high = ends.partition(':')
+        name, equals, value = text.partition('=')
         try:
-            if not colon:
+            if not equals:
                 raise ValueError
-            found[name.strip()] = float(low or '-inf'), float(high or 'inf')
+            found[name.strip()] = value_of(value)
         except ValueError:
-            raise ParameterError(f'--bounds takes NAME=LOW:HIGH, such as '
-                                 f'motor.shaft_inertia=1e-4:0.1; got {text!r}') from None
+            raise ParameterError(f'{rule}; got {text!r}') from None
     return found

@@ -29,25 +29,25 @@ def info(file: Path | str) -> list[str]:
 
 def _about_run(log, notes):
     facts, summary, resets, changes = notes
-    yield from _entry('changed', _changed(facts) or ['nothing: the arm of the paper at rest'])
-    yield from _entry('made with', [', '.join(
-        f'{name} {facts[name]}' for name in ENVIRONMENT if name in facts)])
-    known = log.summary.statistics
-    start = known.message_start_time if in_wall_time(facts) else 0
-    end = (known.message_end_time - start) / NANOSECONDS
-    yield from _entry('wall time' if start else 'sim time', [f'0 to {end:.9g} s'])
+    known, wall = log.summary.statistics, in_wall_time(facts)
+    end = known.message_end_time - wall * known.message_start_time
     steps = ', '.join(map(str, sorted(resets)[:8])) + (', ...' if len(resets) > 8 else '')
-    yield from _entry('resets', [f'at steps {steps}' if resets else 'none'])
-    if changes:
-        yield from _entry('set later', [
-            f'at step {step}: {name} = {json.dumps(value)}'
-            for step, _, values in changes for name, value in values.items()][:20])
-    yield from _entry('timing', [text for name, text in summary.items() if name == 'timing'])
     counted = [f'{name} {value}' for name, value in summary.items() if name != 'timing']
-    yield from _entry('counted', [
-        ', '.join(counted[first:first + _IN_A_LINE])
-        for first in range(0, len(counted), _IN_A_LINE)
-    ] or ['not known: the node did not write its summary'])
+    for title, lines in {
+            'changed': _changed(facts) or ['nothing: the arm of the paper at rest'],
+            'made with': [', '.join(f'{name} {facts[name]}' for name in ENVIRONMENT
+                                    if name in facts)],
+            'wall time' if wall else 'sim time': [f'0 to {end / NANOSECONDS:.9g} s'],
+            'resets': [f'at steps {steps}' if resets else 'none'],
+            'set later': [f'at step {step}: {name} = {json.dumps(value)}'
+                          for step, _, values in changes for name, value in values.items()][:20],
+            'timing': [text for name, text in summary.items() if name == 'timing'],
+            'counted': [', '.join(counted[first:first + _IN_A_LINE])
+                        for first in range(0, len(counted), _IN_A_LINE)]
+            or ['not known: the node did not write its summary']}.items():
+        for line in lines:
+            yield f'  {title:<10}{line}'
+            title = ''
 
 
 def _changed(facts):
@@ -56,11 +56,6 @@ def _changed(facts):
         return [f'{name} = {json.dumps(value)}' for name, value in changed.items()]
     except (KeyError, AttributeError, ValueError, RecursionError):
         return ['not known: the log does not contain it']
-
-
-def _entry(title, lines):
-    for number, line in enumerate(lines):
-        yield f'  {title if not number else "":<10}{line}'
 
 
 def _about_topics(summary):

@@ -182,8 +182,7 @@ class Recording:
     @cached_property
     def parameters(self) -> dict[str, Any]:
         """All logged parameters of the node that are still known, not checked."""
-        return {name: value for name, value in self._logged_parameters.items()
-                if name not in GONE}
+        return {name: value for name, value in self._logged_parameters.items() if name not in GONE}
 
     @cached_property
     def _logged_parameters(self):
@@ -234,7 +233,7 @@ class Recording:
             here = {number.to_bytes(2, 'little'): collectors[about]
                     for (place, number), about in found.items() if place == part}
             resets = 0
-            for record in file.records():
+            for record in file.records() if here else ():
                 if isinstance(record, bytes):
                     if collector := here.get(record[:2]):
                         collector.add(resets, record)
@@ -274,8 +273,7 @@ class Recording:
 
     def lacks(self, what: str) -> LogError:
         """Return a LogError about what is missing, and about topics that are not read."""
-        return LogError('; '.join([f'{self.title} has no {what}', *self.unread.values()])[
-            :500])
+        return LogError('; '.join([f'{self.title} has no {what}', *self.unread.values()])[:500])
 
     @property
     def payloads(self) -> tuple[tuple[int, float, float], ...]:

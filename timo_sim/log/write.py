@@ -470,8 +470,7 @@ class NewLog(Recorder):
                 delay, output)
             channels.append(Channel(topic, output.type_name))
         channels.append(Channel(f'{namespace}/{DESCRIPTION}', TEXT, durability='transient_local'))
-        super().__init__(path, channels, {
-            START: {**start_note(node, values), **notes}})
+        super().__init__(path, channels, {START: {**start_note(node, values), **notes}})
         self.write(len(channels) - 1, 0, 0, description(scene, frames))
         self._frames_due, self._frames_period = 0, round(1e9 / values[TRANSFORMS.rate])
 

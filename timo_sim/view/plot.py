@@ -134,8 +134,7 @@ def bode(model: Any) -> Figure:
     axes['phase'].set(xlabel='frequency [Hz]', ylabel='phase [deg]')
     axes['phase'].yaxis.set_major_locator(MultipleLocator(90.0))
     axes['poles'].plot(poles.real, poles.imag / (2.0 * np.pi), 'x', color=COLOURS[0])
-    axes['poles'].set(xlabel='real part [1/s]', ylabel='imaginary part / 2 pi [Hz]',
-                      title='poles')
+    axes['poles'].set(xlabel='real part [1/s]', ylabel='imaginary part / 2 pi [Hz]', title='poles')
     if np.abs(poles.real).max() < 1e-3 * np.abs(poles.imag).max():
         # Otherwise round-off of the real parts would fill the width.
         axes['poles'].set(xlim=(-1.0, 1.0), xticks=(-1.0, 0.0, 1.0))

@@ -374,8 +374,7 @@ def picture(path: Path | str, png: Path | str, at: float | None = None,
 
         state = _until(load, process)
         end = max(line.end for line in state.recordings[0].timelines if line.name == timeline)
-        client.set_time(timeline, duration=end * 1e-9 if at is None else at,
-                        play_state='paused')
+        client.set_time(timeline, duration=end * 1e-9 if at is None else at, play_state='paused')
         only = next((each.view_id for each in state.views
                      if view is not None and each.name.startswith(view)), None)
         with whole_file(png) as part:
