@@ -527,8 +527,7 @@ def teleop(node: str, force: float, torque: float) -> None:
 
 @main.command()
 @click.argument('scene')
-@click.option('--set', 'settings', multiple=True, metavar='NAME=VALUE',
-              help='A parameter that differs from the scene, such as frame_prefix=left/.')
+@_settings
 @click.option('--ros2-control', 'library', type=_FILE, metavar='LIBRARY.so',
               help='Write the scene as a shared object for timo_sim_hardware, and name it in the '
                    'block <ros2_control>; needs the C compiler cc.')

@@ -26,7 +26,7 @@ from timo_sim.log.write import (
 from timo_sim.scene.files import whole_file
 from timo_sim.scene.parameters import frame_names, GONE, ParameterError, PARAMETERS, SPLIT
 from timo_sim.scene.scene import load_scene
-from timo_sim.topics.cdr import CdrError, layout
+from timo_sim.topics.cdr import CdrError, form, layout
 from timo_sim.topics.commands import COMMANDS, LARGEST_COMMAND, RefusedError
 from timo_sim.topics.outputs import NANOSECONDS, outputs, title, with_angles
 
@@ -519,7 +519,9 @@ class _Collector:
         found, size = layout(self._type_name, data[0]), len(data[0])
         texts = found.texts[1:]  # after the frame
         output = {each.name: each for each in outputs(max(1, len(texts)))}[self._name]
-        if texts != output.texts[1:] or len(found.doubles) <= max(output.places, default=-1):
+        _, own, places = form(output.type_name, output.template)
+        places = places[:len(output.columns)]
+        if texts != own.texts[1:] or len(found.doubles) <= max(places, default=-1):
             raise CdrError(f'{", ".join(texts)[:80]} are not the joints of this node')
         self.columns = self.columns or output.columns
         rows = np.frombuffer(b''.join(data), np.uint8)
@@ -528,7 +530,7 @@ class _Collector:
             if (rows[:, found.fixed] == rows[0, found.fixed]).all():
                 times = _eight_bytes(rows, found.stamps[:1], '<i4').astype(np.int64)
                 return NANOSECONDS * times[:, 0] + times[:, 1], _eight_bytes(
-                    rows, [found.doubles[place] for place in output.places], '<f8')
+                    rows, [found.doubles[place] for place in places], '<f8')
         raise CdrError('its texts or lists are not those of the messages before it')
 
 

@@ -130,9 +130,8 @@ class CdrError(ValueError):
 
 
 class Layout(NamedTuple):
-    """Places in a message [B]; it is that of all of this size with these bytes at `fixed`."""
+    """Places in a message [B]; it is that of all messages with these bytes at `fixed`."""
 
-    size: int            # [B], without the padding that some writers add at the end
     stamps: list         # place of the seconds of each time; its nanoseconds follow
     doubles: list        # place of each float64
     lists: list          # number of float64 in each sequence, and in the fields between sequences
@@ -152,7 +151,7 @@ def layout(type_name: str, data: bytes | memoryview) -> Layout:
     """Return the Layout of a message of DEFINITIONS; CdrError unless it is little-endian CDR."""
     walk = _Walk(data)
     walk.value(type_name)
-    return walk.found._replace(size=walk.place)
+    return walk.found
 
 
 def pack(type_name: str, values: Mapping[str, Any]) -> bytes:
@@ -201,9 +200,9 @@ class _Walk:
     """Reads through a message, and notes in `found` where its values are."""
 
     def __init__(self, data):
-        self._data, self.place = data, _START
+        self._data, self._place = data, _START
         self._list_goes_on = False  # whether a float64 belongs to the last of `found.lists`
-        self.found = Layout(0, [], [], [], [], [0, 1])
+        self.found = Layout([], [], [], [], [0, 1])
         if bytes(data[:2]) != _LITTLE_ENDIAN:
             raise CdrError(f'its encoding is {bytes(data[:2])!r}, not {_LITTLE_ENDIAN!r}')
 
@@ -239,13 +238,13 @@ class _Walk:
 
     def _fixed(self, size, alignment):
         begin = self._pass(size, alignment)
-        self.found.fixed.extend(range(begin, self.place))
-        return begin, self.place
+        self.found.fixed.extend(range(begin, self._place))
+        return begin, self._place
 
     def _pass(self, size, alignment):
-        begin = self.place + (_START - self.place) % alignment
-        self.place = begin + size
-        if self.place > len(self._data):
+        begin = self._place + (_START - self._place) % alignment
+        self._place = begin + size
+        if self._place > len(self._data):
             raise CdrError('it is too short')
         return begin
 

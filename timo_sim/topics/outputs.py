@@ -17,7 +17,7 @@ from typing import Any, NamedTuple
 import numpy as np
 
 from timo_sim.model.layout import LINKS, place, with_unit
-from timo_sim.topics.cdr import columns, form, Number
+from timo_sim.topics.cdr import columns, Number
 
 
 class Sensor(NamedTuple):
@@ -169,16 +169,6 @@ class Output(NamedTuple):
     def columns(self) -> tuple[str, ...]:
         """Names of the numbers, with units."""
         return columns(self.template)
-
-    @property
-    def places(self) -> tuple[int, ...]:
-        """Indices of the numbers among the float64 of a message."""
-        return form(self.type_name, self.template)[2][:len(self.columns)]
-
-    @property
-    def texts(self) -> Sequence[str]:
-        """Texts of a message: the frame of the header, names of joints, ..."""
-        return form(self.type_name, self.template)[1].texts
 
 
 def _numbers(*names):
