@@ -29,8 +29,8 @@ def info(file: Path | str) -> list[str]:
 
 def _about_run(log, notes):
     facts, summary, resets, changes = notes
-    known, wall = log.summary.statistics, in_wall_time(facts)
-    end = known.message_end_time - wall * known.message_start_time
+    statistics, wall = log.summary.statistics, in_wall_time(facts)
+    end = statistics.message_end_time - wall * statistics.message_start_time
     steps = ', '.join(map(str, sorted(resets)[:8])) + (', ...' if len(resets) > 8 else '')
     counted = [f'{name} {value}' for name, value in summary.items() if name != 'timing']
     for title, lines in {
@@ -59,12 +59,12 @@ def _changed(facts):
 
 
 def _about_topics(summary):
-    known, silent = summary.statistics, []
-    span = (known.message_end_time - known.message_start_time) / NANOSECONDS
+    statistics, silent = summary.statistics, []
+    span = (statistics.message_end_time - statistics.message_start_time) / NANOSECONDS
     width = min(max([len(each.topic) for each in summary.channels.values()], default=5), 60)
     yield f'  {"topic":<{width}}  {"messages":>9}  mean rate'
     for number, channel in sorted(summary.channels.items(), key=lambda item: item[1].topic):
-        count = known.channel_message_counts.get(number, 0)
+        count = statistics.channel_message_counts.get(number, 0)
         if count:
             rate = f'{(count - 1) / span:.6g} Hz' if span > 0.0 else '-'
             yield f'  {channel.topic[:width]:<{width}}  {count:>9}  {rate}'

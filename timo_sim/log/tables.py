@@ -24,7 +24,7 @@ from timo_sim.log.read import files_of, LogError, LogFile
 from timo_sim.log.write import (
     in_wall_time, information, MESSAGE, original_names, printable, RESET, TEXT, yaml_text)
 from timo_sim.scene.files import whole_file
-from timo_sim.scene.parameters import frame_names, GONE, ParameterError, PARAMETERS, SPLIT
+from timo_sim.scene.parameters import frame_names, GONE, ParameterError, PARAMETERS
 from timo_sim.scene.scene import load_scene
 from timo_sim.topics.cdr import CdrError, form, layout
 from timo_sim.topics.commands import COMMANDS, LARGEST_COMMAND, RefusedError
@@ -182,33 +182,29 @@ class Recording:
     @cached_property
     def parameters(self) -> dict[str, Any]:
         """All logged parameters of the node that are still known, not checked."""
-        return {name: value for name, value in self._logged_parameters.items() if name not in GONE}
+        return {name: value for name, value in self.logged_parameters.items() if name not in GONE}
 
     @cached_property
-    def _logged_parameters(self):
-        parameters = json.loads(self.facts.get('parameters', 'null'))
+    def logged_parameters(self) -> dict[str, Any]:
+        """All logged parameters of the node, those that are no more included, not checked."""
+        parameters = json.loads(self.facts.get('parameters', 'null')) if self.facts else {}
         if not isinstance(parameters, dict):
             raise ValueError('its parameters are no dictionary')
         return parameters
 
-    @property
-    def split_steps(self) -> bool:
-        """Whether an earlier version may have split steps of this run, which is done no more."""
-        return bool(self.facts and self._logged_parameters.get(SPLIT))
-
     @cached_property
     def scene(self) -> Any:
         """The scene of a log of this package, else None."""
-        return self._made(load_scene) if self.facts else None
+        return self._build(load_scene) if self.facts else None
 
     @cached_property
     def frames(self) -> dict[str, str]:
-        """Names of frames in commands, see `scene.values.frame_names`."""
-        return self._made(frame_names) if self.facts else frame_names({})
+        """Names of frames in commands, see `scene.parameters.frame_names`."""
+        return self._build(frame_names)
 
-    def _made(self, make):
+    def _build(self, build):
         try:
-            return make(self.parameters)
+            return build(self.parameters)
         except (KeyError, ValueError, RecursionError, ParameterError) as error:
             reason = ' '.join(str(error).split())[:300]
             raise LogError(f'{self.title}: its scene cannot be built: {reason}') from None

@@ -206,14 +206,14 @@ class Writer:
             chunk_start_offset=offset, chunk_length=length, compressed_size=len(compressed),
             message_index_offsets=places, message_index_length=place - offset - length, **facts
         ).write(self._chunk_indexes)
-        known, start = self._statistics, facts['message_start_time']
-        known.message_start_time = min(known.message_start_time, start) if (
-            known.chunk_count) else start
-        known.message_end_time = max(known.message_end_time, facts['message_end_time'])
+        total, start = self._statistics, facts['message_start_time']
+        total.message_start_time = min(total.message_start_time, start) if (
+            total.chunk_count) else start
+        total.message_end_time = max(total.message_end_time, facts['message_end_time'])
         counts = {channel: len(entries) // 2 for channel, entries in chunk.index.items()}
-        known.channel_message_counts.update(counts)
-        known.message_count += sum(counts.values())
-        known.chunk_count += 1
+        total.channel_message_counts.update(counts)
+        total.message_count += sum(counts.values())
+        total.chunk_count += 1
 
     def finish(self, name: str) -> None:
         """Write the end of the file: rosbag2's metadata, with the file's name, and summary."""
@@ -369,7 +369,7 @@ class Recorder:
             self._chunk.add(data, index + 1, step & 0xffffffff, logged, logged)
             if len(self._chunk.data) < CHUNK_SIZE:
                 return
-        self._pass_on()
+        self._queue_chunk()
         self._ready.set()
         begun = time.monotonic()
         while len(self._queue) > BACKLOG and self.error is None:
@@ -382,7 +382,7 @@ class Recorder:
     def note(self, name: str, values: dict[str, str]) -> None:
         """Log a metadata record: a name, and a dictionary of str."""
         if self.error is None:
-            self._pass_on()
+            self._queue_chunk()
             self._queue.append((self._writer.add, Metadata(name=name, metadata=values)))
 
     def close(self) -> None:
@@ -396,7 +396,7 @@ class Recorder:
         if self._thread.is_alive():
             self.error = self.error or f'{self.path}: the disk does not take the end of the log'
 
-    def _pass_on(self):
+    def _queue_chunk(self):
         """Queue the chunk that grows, to be written as it is."""
         with self._lock:
             if self._chunk.data:
@@ -407,11 +407,11 @@ class Recorder:
         try:
             while not self._closing:
                 if not self._ready.wait(FLUSH_PERIOD):
-                    self._pass_on()
+                    self._queue_chunk()
                 self._ready.clear()
-                self._drain()
-            self._pass_on()
-            self._drain()
+                self._write_queue()
+            self._queue_chunk()
+            self._write_queue()
             self._writer.finish(self.path.name)
             sync(self._file)
             self._check_file()
@@ -424,7 +424,7 @@ class Recorder:
             except OSError as error:
                 self.error = self.error or f'{self.path}: {error}'
 
-    def _drain(self):
+    def _write_queue(self):
         self._check_file()
         while self._queue:
             write, what = self._queue.popleft()

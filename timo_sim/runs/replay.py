@@ -129,7 +129,7 @@ def replay(file: str | Path, changes: Mapping[str, Any] | None = None,
         show(f'logged with {ground}: last bits may differ')
     if same and differing and not repeats:
         show('a bag does not say at which step a command began to act, but in lock step')
-    if recording.split_steps:
+    if recording.logged_parameters.get(SPLIT):
         show(f'logged with {SPLIT}, which is no more: its steps are not split again')
     if log:
         show(f'new log: {log.path}')

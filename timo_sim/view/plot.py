@@ -143,7 +143,8 @@ def bode(model: Any) -> Figure:
     return figure
 
 
-_MOST_SHAPES, _POINTS, _AMPLITUDE = 6, 41, 0.15  # drawn; of each; largest displacement [lengths]
+_MOST_SHAPES, _POINTS = 6, 41  # shapes that are drawn, and points of each
+_AMPLITUDE = 0.15  # largest displacement, in arm lengths
 
 
 def shapes(vibrations: Any) -> Figure:
