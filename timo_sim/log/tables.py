@@ -131,19 +131,14 @@ class Recording:
 
     def _read_scene(self):
         """Take start, resets and changes from ~/scene, if a bag has it."""
-        received = []
-        for (part, number), channel, schema in self._channels():
-            if channel.topic != f'{self.name}/scene' or not schema or schema.name != TEXT:
-                continue
-            for record in self.parts[part].records():
-                if isinstance(record, bytes):
-                    channel, _, _, sent = MESSAGE.unpack_from(record)
-                    received += [(sent, record[MESSAGE.size:])] * (channel == number)
+        wanted = {number: TEXT for number, channel, schema in self._channels()
+                  if channel.topic == f'{self.name}/scene' and schema and schema.name == TEXT}
+        received = sorted((MESSAGE.unpack_from(message)[3], message[MESSAGE.size:])
+                          for _, _, message in self._messages(wanted))
         if not received:
             return
         try:
-            told = [(sent, json.loads(layout(TEXT, data).texts[0]))
-                    for sent, data in sorted(received)]
+            told = [(sent, json.loads(layout(TEXT, data).texts[0])) for sent, data in received]
             steps = [index(message['step']) for _, message in told]
             events = [message['event'] for _, message in told]
             given = [dict(message['set']) for _, message in told]
@@ -224,17 +219,8 @@ class Recording:
             raise LogError(f'{self.title} has two channels of {twice[0][0][1]}')
         collectors = {about: _Collector(self.title, *about, self.frames, self.of_scene is not None)
                       for about in found.values()}
-        for part, file in enumerate(self.parts):
-            # A message begins with the number of its channel.
-            here = {number.to_bytes(2, 'little'): collectors[about]
-                    for (place, number), about in found.items() if place == part}
-            resets = 0
-            for record in file.records() if here else ():
-                if isinstance(record, bytes):
-                    if collector := here.get(record[:2]):
-                        collector.add(resets, record)
-                elif isinstance(record, Metadata):
-                    resets += record.name == RESET
+        for about, resets, message in self._messages(found):
+            collectors[about].add(resets, message)
         self._read |= {name: self._series(each) for (name, *_), each in collectors.items()}
         return {name: self._read[name] for name, *_ in self._wanted.values() if name in names}
 
@@ -318,6 +304,20 @@ class Recording:
         for part, file in enumerate(self.parts):
             for number, channel in file.summary.channels.items():
                 yield (part, number), channel, file.summary.schemas.get(channel.schema_id)
+
+    def _messages(self, wanted):
+        """Yield the value in `wanted` of a message's channel, resets so far, and its content."""
+        for part, file in enumerate(self.parts):
+            # A message begins with the number of its channel.
+            here = {number.to_bytes(2, 'little'): about
+                    for (place, number), about in wanted.items() if place == part}
+            resets = 0
+            for record in file.records() if here else ():
+                if isinstance(record, bytes):
+                    if about := here.get(record[:2]):
+                        yield about, resets, record
+                elif isinstance(record, Metadata):
+                    resets += record.name == RESET
 
     def _find_node(self):
         ends = [name.removeprefix('~') for name in (*_TYPES, *_EARLIER) if name.startswith('~')]
