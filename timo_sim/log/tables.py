@@ -37,7 +37,7 @@ _AT_ONCE = 4096  # messages that are converted to arrays together
 _COMMANDS = {command.name: command for command in COMMANDS}
 _WRAP = 2**32  # sequence numbers are steps modulo this, or all 0 if a tool has not kept them
 _RESTART = 10**8  # [ns] by which stamps fall only if a simulator is started again
-_EARLIER = {'~/tip_imu': '~/tip_imu/data_raw'}  # names of topics in 0.2.0
+_RENAMED = {'~/tip_imu': '~/tip_imu/data_raw'}  # names of topics in 0.2.0
 _TYPES = {**{output.name: output.type_name for output in outputs(1)},
           **{command.name: command.type_name for command in COMMANDS}}
 
@@ -296,7 +296,7 @@ class Recording:
             return self._names[topic]
         if topic.startswith(self.name + '/'):
             short = '~/' + topic.removeprefix(self.name + '/')
-            return _EARLIER.get(short, short)
+            return _RENAMED.get(short, short)
         return topic
 
     def _channels(self):
@@ -320,7 +320,7 @@ class Recording:
                     resets += record.name == RESET
 
     def _find_node(self):
-        ends = [name.removeprefix('~') for name in (*_TYPES, *_EARLIER) if name.startswith('~')]
+        ends = [name.removeprefix('~') for name in (*_TYPES, *_RENAMED) if name.startswith('~')]
         topics = [channel.topic for _, channel, _ in self._channels()]
         nodes = {topic.removesuffix(end) for topic in topics for end in ends
                  if topic.endswith(end)}

@@ -21,10 +21,8 @@ _COMMANDED = (
 COMMANDED, ALONG_TIP, ACROSS_TIP = len(_COMMANDED), LOADS, LOADS + 1
 # The columns of each group of inputs. A group follows the latest message that set it; of messages
 # that begin to act in the same step, the later entry of COMMANDS wins.
-GROUPS: dict[str, list[int]] = {}
-for _column, _input in enumerate(_COMMANDED):
-    if _input.group:
-        GROUPS.setdefault(_input.group, []).append(_column)
+GROUPS = {name: [column for column, each in enumerate(_COMMANDED) if each.group == name]
+          for name in dict.fromkeys(each.group for each in _COMMANDED) if name}
 JOINTS = 'carrier_x', 'carrier_y', 'shaft'
 LARGEST_COMMAND = 65536  # [B] of a command that is accepted; ordinary ones have some hundreds
 

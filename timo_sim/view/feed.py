@@ -20,7 +20,7 @@ from timo_sim.scene.scene import Scene
 from timo_sim.simulation.simulator import Simulator
 
 _PERIOD = 1.0 / 30.0  # [s] of wall time between samples
-_PATIENCE = 2.0      # [s] for the process to send its last samples
+_ENDING = 2.0        # [s] for the process to send its last samples
 _PORT = 9876         # rerun's, for an address without one
 _CONNECTING = 0.5    # [s] for a viewer to answer
 _ADDRESS = re.compile(r'rerun(\+https?)?://(\S+?)(:(\d+))?/proxy')
@@ -77,7 +77,7 @@ class Feed:
         """End the stream; the process has two seconds to send its last samples."""
         self._stream.close()
         try:
-            self._process.wait(_PATIENCE)
+            self._process.wait(_ENDING)
         except subprocess.TimeoutExpired:
             self._process.kill()
             self._process.wait()
