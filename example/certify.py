@@ -20,7 +20,8 @@ from slew import smooth
 import timo_sim
 
 # The arm of a laboratory: a steel strip on a geared DC motor.
-ARM = {'arm.length': 0.42, 'arm.width': 0.02, 'arm.height': 0.001, 'arm.density': 7800.0,
+ARM = {'arm.length': 0.42, 'arm.section.width': 0.02, 'arm.section.height': 0.001,
+       'arm.density': 7800.0,
        'arm.young_modulus': 200e9, 'arm.shear_modulus': 77e9, 'arm.damping_ratio': [0.02],
        'carrier.held': 'both', 'initial.shaft': 0.0, 'integrator.step': 0.002,
        'motor.shaft_inertia': 2e-3, 'motor.viscous_friction': 0.02, 'motor.dc.resistance': 2.6,

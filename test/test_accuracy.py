@@ -23,13 +23,13 @@ RAPID = {'load.tip_force_y.harmonic.amplitude': [20.0],
          'load.tip_force_y.harmonic.frequency': [200.0], 'initial.shaft': 0.0}
 LIGHT = {'end_effector.mass': 0.0, 'end_effector.inertia': 0.0,
          'load.tip_torque.harmonic.amplitude': [5.0], 'load.tip_torque.harmonic.frequency': [4.0]}
-FAST = {'arm.height': 0.015, 'initial.shaft_velocity': 15.0,
+FAST = {'arm.section.height': 0.015, 'initial.shaft_velocity': 15.0,
         'load.torque.piecewise.time': [0.0, 0.5, 1.0],
         'load.torque.piecewise.value': [80.0, -80.0, 0.0]}
 TIMES = [round(0.05 * k, 2) for k in range(1, 40)]
 KINDS = {
     'heavy tip': (HEAVY, 1e-3),
-    'sandwich': ({'arm.height': 0.04, 'arm.shear_modulus': 1e6, 'arm.density': 300.0,
+    'sandwich': ({'arm.section.height': 0.04, 'arm.shear_modulus': 1e6, 'arm.density': 300.0,
                   'end_effector.mass': 0.0, 'end_effector.inertia': 0.0, **SWING}, 1e-4),
     'tip force of 200 Hz': (RAPID, 1e-4),
     'fast spin': (FAST, 2e-3),

@@ -215,8 +215,10 @@ IMPLAUSIBLE = [
     ({'arm.density': 2.71}, 'arm.density = 2.71'),
     ({'initial.shaft': 45.0}, '45 rad is more than a turn; in degrees it would be 0.7854 rad'),
     ({'arm.length': 0.03, 'end_effector.inertia': 0.0}, 'less than 3 times arm.section.height'),
-    ({'arm.length': 500.0, 'arm.width': 30.0, 'arm.height': 1.0}, 'metres, not in millimetres'),
-    ({'arm.length': 0.8, 'arm.width': 0.03, 'arm.height': 0.002, 'end_effector.mass': 0.3},
+    ({'arm.length': 500.0, 'arm.section.width': 30.0, 'arm.section.height': 1.0},
+     'metres, not in millimetres'),
+    ({'arm.length': 0.8, 'arm.section.width': 0.03, 'arm.section.height': 0.002,
+      'end_effector.mass': 0.3},
      r'inertia = 0.5 kg m2 \(the default\) is that of end_effector.mass = 0.3 kg at more than '
      'half of arm.length = 0.8 m from'),
     ({'end_effector.mass': 0.0}, 'end_effector.mass = 0 kg at more than half'),

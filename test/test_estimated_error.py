@@ -21,9 +21,11 @@ PULL = {'model.formulation': 'newton', 'carrier.held': 'both', 'motor.shaft': 'l
         'load.tip_force_x.piecewise.value': [400.0], 'load.tip_force_y.piecewise.time': [0.0],
         'load.tip_force_y.piecewise.value': [10.0]}
 # A light, soft arm with dry friction: scene 491 of the stress test.
-DRY = {'integrator.step': 0.002, 'arm.length': 0.329, 'arm.height': 0.00213, 'arm.width': 0.00331,
+DRY = {'integrator.step': 0.002, 'arm.length': 0.329, 'arm.section.height': 0.00213,
+       'arm.section.width': 0.00331,
        'arm.density': 1970.0, 'arm.young_modulus': 2.87e8, 'arm.shear_modulus': 1.96e7,
-       'arm.shear_correction': 0.592, 'arm.damping_ratio': [0.0], 'end_effector.mass': 5.68e-05,
+       'arm.section.shear_correction': 0.592, 'arm.damping_ratio': [0.0],
+       'end_effector.mass': 5.68e-05,
        'end_effector.inertia': 0.000249, 'carrier.mass': 1.53, 'motor.mass': 0.000725,
        'motor.shaft_inertia': 0.000352, 'carrier.coulomb_friction': 0.000397,
        'motor.coulomb_friction': 0.00314, 'initial.shaft': 1.97, 'initial.shaft_velocity': -2.78,
@@ -48,7 +50,8 @@ SCENES = {'stretch': {'initial.shaft_velocity': 20.0}, 'modes': {'model.modes': 
 # The arm buckles under a force along it, or stands near its critical load.
 GROWS = {
     'buckles': ({
-        'arm.length': 2.2482, 'arm.height': 0.066878, 'arm.width': 0.16744, 'arm.density': 1600.0,
+        'arm.length': 2.2482, 'arm.section.height': 0.066878, 'arm.section.width': 0.16744,
+        'arm.density': 1600.0,
         'arm.young_modulus': 60000000000.0, 'arm.shear_modulus': 4000000000.0,
         'carrier.mass': 149.05, 'motor.mass': 24.856, 'motor.shaft_inertia': 18.618,
         'end_effector.mass': 13.397, 'end_effector.inertia': 0.012546, 'initial.shaft':
@@ -57,7 +60,8 @@ GROWS = {
         'load.tip_force_y.piecewise.time': [0.0], 'load.tip_force_y.piecewise.value':
         [464.99], 'model.modes': 3, 'model.axial_modes': 1, 'integrator.step': 0.00023}, 4000),
     'stands': ({
-        'arm.length': 0.9699, 'arm.height': 0.036018, 'arm.width': 0.068316, 'arm.density': 1200.0,
+        'arm.length': 0.9699, 'arm.section.height': 0.036018, 'arm.section.width': 0.068316,
+        'arm.density': 1200.0,
         'arm.young_modulus': 2400000000.0, 'arm.shear_modulus': 900000000.0,
         'carrier.mass': 0.98723, 'motor.mass': 1.7494, 'motor.shaft_inertia': 0.15888,
         'end_effector.mass': 1.257, 'end_effector.inertia': 0.00026731, 'initial.shaft':

@@ -16,7 +16,8 @@ from timo_sim.fitting.record import Channel, OUTPUTS
 from timo_sim.fitting.problem import covariance, loads_of, Problem, whiteness
 from timo_sim.model.layout import AFTER, TORQUE
 
-ARM = {'carrier.held': 'both', 'arm.length': 0.42, 'arm.height': 0.001, 'arm.width': 0.02,
+ARM = {'carrier.held': 'both', 'arm.length': 0.42, 'arm.section.height': 0.001,
+       'arm.section.width': 0.02,
        'arm.density': 7800.0, 'arm.young_modulus': 2e11, 'arm.shear_modulus': 7.7e10,
        'arm.damping_ratio': [0.01], 'motor.shaft_inertia': 0.002, 'end_effector.mass': 0.03,
        'end_effector.inertia': 1e-5, 'motor.viscous_friction': 0.01, 'initial.shaft': 0.0,
@@ -414,7 +415,7 @@ BAD_ARGUMENTS = [
     (dict(free=['arm.length'], bounds={'arm.length': (1.0, 2.0)}),
      'arm.length = 0.42 must be within its bounds, 1 to 2'),
     (dict(free=['arm.length'], bounds={'arm.length': (2.0, 1.0)}), 'two ascending numbers'),
-    (dict(free=['arm.length'], bounds={'arm.width': (1.0, 2.0)}), 'need it to be free'),
+    (dict(free=['arm.length'], bounds={'arm.section.width': (1.0, 2.0)}), 'need it to be free'),
     (dict(free=['arm.length'], hold_out=1.0), 'hold_out must be .*<= 0.95, got 1'),
     (dict(free=['arm.length'], window=0.001), 'window must be at least ten steps, 0.02 s'),
     (dict(free=['initial'], window=1.0), 'initial.shaft cannot be free with windows'),

@@ -39,7 +39,8 @@ def straight(formulation, angle, free):
     return matrix[np.ix_(free, free)], stiffness[np.ix_(free, free)]
 
 
-STRIP = {'arm.length': 1.0, 'arm.width': 0.02, 'arm.height': 0.002, 'arm.density': 7850.0,
+STRIP = {'arm.length': 1.0, 'arm.section.width': 0.02, 'arm.section.height': 0.002,
+         'arm.density': 7850.0,
          'arm.young_modulus': 2.1e11, 'arm.shear_modulus': 8e10, 'end_effector.mass': 0.0,
          'end_effector.inertia': 0.0}
 TAPERED = {'arm.profile.position': [0.0, 0.4, 0.4, 1.0], 'arm.profile.height': [0.02, 0.01] * 2}
@@ -52,7 +53,7 @@ TAPERED = {'arm.profile.position': [0.0, 0.4, 0.4, 1.0], 'arm.profile.height': [
     ('exact', {'carrier.held': 'both', 'motor.shaft': 'locked'}, []),
     ('exact', {'carrier.held': 'both', 'motor.shaft': 'locked', **STRIP}, []),
     ('exact', {**STRIP, **TAPERED}, [0, 1, 2]),
-    ('exact', {**STRIP, 'arm.height': 0.2}, [0, 1, 2]),
+    ('exact', {**STRIP, 'arm.section.height': 0.2}, [0, 1, 2]),
     ('exact', {'carrier.held': 'y'}, [0, 2]), ('newton', {'carrier.held': 'x'}, [1, 2])], ids=str)
 def test_poles_are_the_frequencies_of_the_straight_arm(name, values, free, count):
     """All of them, the highest included, with the masses integrated at a hundred points."""
@@ -177,7 +178,7 @@ def test_loads_at_a_straight_tip_turn_it_by_its_deflection_over_the_length():
 
 BENT = {'gravity': [2.0, -9.81], 'initial.equilibrium': True, 'carrier.held': 'both',
         'initial.shaft': -0.4, 'end_effector.mass': 0.1, 'end_effector.inertia': 1e-4,
-        'arm.height': 0.004, 'load.torque.piecewise.time': [0.0],
+        'arm.section.height': 0.004, 'load.torque.piecewise.time': [0.0],
         'load.torque.piecewise.value': [6.0], 'load.tip_force_y.piecewise.time': [0.0],
         'load.tip_force_y.piecewise.value': [-3.0]}
 

@@ -288,12 +288,6 @@ def test_a_log_of_an_old_version_is_refused_with_the_version_that_reads_it(log):
         'replay', log, code=2)
 
 
-def test_a_log_is_read_without_parameters_that_are_no_more(log):
-    falsify(log, b'"rate.encoder": 100.0', b'"rate.arm_shape": 1.0')
-    assert b'"rate.arm_shape": 1.0' in log.read_bytes()
-    assert 'all are the same to the last bit' in call('replay', log)
-
-
 def test_views_say_what_a_bag_or_log_lacks(bag, log, tmp_path):
     for file, missing in (bag, '/timo_sim/scene, so'), (log, 'modal_state of /timo_sim'):
         text = call('view', file, '--gif', tmp_path / 'run.gif', code=2)

@@ -125,18 +125,6 @@ def test_materials_and_what_is_given_beside_them(tmp_path):
     assert timo_sim.open_log(log).scene.values == values
 
 
-def test_older_names_are_read_as_those_of_today():
-    old = {'arm': {'width': 0.03, 'height': 0.01, 'shear_correction': 0.8}}
-    scene = timo_sim.load_scene(old)
-    assert scene.values == timo_sim.load_scene({'arm': {'section': old['arm']}}).values
-    assert scene.values['arm.section.height'] == 0.01
-    assert scene.vary({'arm.height': 0.02}).values['arm.section.height'] == 0.02
-    table = timo_sim.simulate_many(scene, [{'arm.height': 0.02}, {}], 0.01, workers=1)
-    assert table['arm.section.height'].tolist() == [0.02, 0.01]
-    found = timo_sim.sensitivities(scene, 0.01, parameters=['arm.height'])
-    assert np.isfinite(found.jacobian).all()
-
-
 @pytest.mark.parametrize('section, message', [
     ({'shape': 'tube'}, 'wall must be > 0 with arm.section.shape = tube, got 0'),
     ({'wall': 0.001}, 'wall must be 0 with arm.section.shape = rectangle, got 0.001'),
@@ -147,4 +135,4 @@ def test_older_names_are_read_as_those_of_today():
 def test_sections_that_cannot_be_are_refused(section, message):
     with pytest.raises(timo_sim.ParameterError, match=f'arm.section.{message}'):
         timo_sim.load_scene({'arm.section': section, **(
-            {'arm.height': 0.02} if section == {'height': 0.01} else {})})
+            {'arm.section.height': 0.02} if section == {'height': 0.01} else {})})

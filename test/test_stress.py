@@ -27,7 +27,7 @@ BODY = {'arm.length': 2.0, 'motor.mass': 0.0, 'initial.shaft_velocity': 1.0,
 def plain(steps=200, step=0.01, bend=0.01, **changes):
     """Return a Cell: a spinning arm that starts with its tip bent by `bend` [m]."""
     values = {**BODY, 'model.formulation': 'exact', 'model.modes': 3, 'integrator.step': step,
-              'arm.height': 0.02, 'motor.shaft': 'free', **changes}
+              'arm.section.height': 0.02, 'motor.shaft': 'free', **changes}
     scene = timo_sim.load_scene(values)
     shape = [bend / scene.build().tip_travel[3]] + (values['model.modes'] - 1) * [0.0]
     return scenes.Cell(0, 'test', {**values, 'initial.modal_coordinates': shape}, steps,
@@ -50,15 +50,15 @@ def at_resonance(number, ratio, **changes):
 # Scenes whose errors once gave no warning: with an estimate of third order, or checked too late.
 SILENT_ONCE = {
     'thick': partial(plain, **{
-        'model.formulation': 'newton', 'arm.height': 0.2, 'end_effector.mass': 21.68,
+        'model.formulation': 'newton', 'arm.section.height': 0.2, 'end_effector.mass': 21.68,
         'end_effector.inertia': 0.8672}),
     'light carrier': partial(plain, step=0.02, bend=1e-3, steps=100, **{
-        'model.formulation': 'newton', 'arm.height': 0.5, 'end_effector.mass': 5420.0,
+        'model.formulation': 'newton', 'arm.section.height': 0.5, 'end_effector.mass': 5420.0,
         'end_effector.inertia': 21680.0, 'carrier.mass': 1e-3, 'arm.damping_ratio': [1.0],
         'load.torque.piecewise.time': [0.0, 0.2], 'load.torque.piecewise.value': [65.0, 0.0]}),
     'strong bend': partial(plain, bend=1.0, **{'model.modes': 5}),
     'beside resonance': partial(at_resonance, 1, 1.05, step=0.005, steps=400, **{
-        'model.formulation': 'newton', 'arm.height': 0.04, 'end_effector.mass': 0.0,
+        'model.formulation': 'newton', 'arm.section.height': 0.04, 'end_effector.mass': 0.0,
         'carrier.mass': 1e-3, 'initial.shaft_velocity': 0.0, 'arm.damping_ratio': [0.01]}),
     'at resonance': partial(at_resonance, 2, 1.0, step=0.001, steps=2000, bend=1.0, **{
         'model.modes': 5, 'end_effector.mass': 216.8, 'end_effector.inertia': 0.0,

@@ -14,17 +14,18 @@ import scipy.linalg
 import timo_sim
 from timo_sim.cli import main
 
-BARE = {'arm.length': 1.0, 'arm.width': 0.01, 'end_effector.mass': 0.0,
+BARE = {'arm.length': 1.0, 'arm.section.width': 0.01, 'end_effector.mass': 0.0,
         'end_effector.inertia': 0.0}
 # Rubber-like, with a tip: it stretches by percents, and vibrations along and across it couple.
-SOFT = {'arm.length': 1.0, 'arm.width': 0.05, 'arm.height': 0.1, 'arm.young_modulus': 1e9,
+SOFT = {'arm.length': 1.0, 'arm.section.width': 0.05, 'arm.section.height': 0.1,
+        'arm.young_modulus': 1e9,
         'arm.shear_modulus': 4e8, 'end_effector.mass': 3.0, 'end_effector.inertia': 0.02}
 
 
 @pytest.mark.parametrize('found, tolerance', [('modes', 9e-4), ('oracle', 6e-4)])
 def test_spinning_arms_have_the_frequencies_of_the_literature(found, tolerance):
     """As thin as 1/5000, with twelve modes; the table has three decimals."""
-    scene = timo_sim.load_scene({**BARE, 'arm.height': 2e-4, 'model.modes': 12})
+    scene = timo_sim.load_scene({**BARE, 'arm.section.height': 2e-4, 'model.modes': 12})
     section = scene.manipulator.arm.section
     unit = np.sqrt(section.bending_stiffness / section.mass_per_length)
     speeds = np.array([*WRIGHT])
@@ -52,7 +53,7 @@ def test_spinning_arms_that_stretch_have_the_frequencies_of_finite_elements(valu
 
 def test_the_stated_error_is_that_of_the_frequencies():
     """Of a spinning arm, which converges with the number of modes."""
-    scene, speed = timo_sim.load_scene({**BARE, 'arm.height': 0.002}), 60.0
+    scene, speed = timo_sim.load_scene({**BARE, 'arm.section.height': 0.002}), 60.0
     expected, errors = spinning(scene, speed, 3), []
     for count in (3, 5, 8):
         found = timo_sim.modes(scene.vary({'model.modes': count}), speed)
@@ -107,7 +108,7 @@ def test_a_rigid_arm_swings_about_the_angle_at_which_it_hangs():
 def test_a_heavy_arm_vibrates_about_its_bend():
     """As the linear model about the same equilibrium, with a locked shaft or a speed of 0."""
     scene = timo_sim.load_scene({'gravity': [0.0, -9.81], 'carrier.held': 'both',
-                                 'motor.shaft': 'locked', 'arm.height': 0.005,
+                                 'motor.shaft': 'locked', 'arm.section.height': 0.005,
                                  'initial.shaft': 0.4, 'arm.damping_ratio': [0.01]})
     found = timo_sim.modes(scene)
     poles = timo_sim.linearize(scene.vary({'initial.equilibrium': True})).poles()

@@ -23,9 +23,10 @@ from timo_sim import load_scene
 def clamped(length, mass, bending, axial, shear=None, angle=0.0, gravity=0.0):
     """Return an arm of given mass per length, E I and E A, and kappa G A, clamped at its root."""
     height = math.sqrt(12.0 * bending / axial)
-    values = {'arm.length': length, 'arm.width': height, 'arm.height': height,
+    values = {'arm.length': length, 'arm.section.width': height, 'arm.section.height': height,
               'arm.density': mass / height**2, 'arm.young_modulus': axial / height**2,
-              'arm.shear_modulus': (shear or axial) / height**2, 'arm.shear_correction': 1.0,
+              'arm.shear_modulus': (shear or axial) / height**2,
+              'arm.section.shear_correction': 1.0,
               'end_effector.mass': 0.0, 'end_effector.inertia': 0.0, 'carrier.held': 'both',
               'motor.shaft': 'locked', 'initial.shaft': angle, 'gravity': [0.0, gravity]}
     return load_scene(values)

@@ -41,7 +41,8 @@ PERIOD, STEP, FINER = 0.002, 0.002, 4   # of records, of fits [s]; parts of it i
 NOISE = {'shaft': 1e-3, 'tip_transverse': 5e-4}     # standard deviations [rad, m]
 DELAY = 'tip_transverse.delay'
 SCENE = {
-    'arm.length': 0.42, 'arm.width': 0.02, 'arm.height': 0.001, 'arm.density': 7800.0,
+    'arm.length': 0.42, 'arm.section.width': 0.02, 'arm.section.height': 0.001,
+    'arm.density': 7800.0,
     'arm.young_modulus': 200e9, 'arm.shear_modulus': 77e9, 'arm.damping_ratio': [0.01],
     'carrier.held': 'both', 'initial.shaft': 0.0, 'integrator.step': STEP,
     'motor.shaft_inertia': 2e-3, 'motor.viscous_friction': 0.02, 'motor.coulomb_friction': 0.03,

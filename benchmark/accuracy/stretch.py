@@ -24,9 +24,11 @@ HELD = {'carrier.held': 'both'}
 PUSH = {'load.tip_force_y.piecewise.time': [0.0, 0.1],
         'load.tip_force_y.piecewise.value': [20.0, 0.0]}
 SPINNING = {'initial.shaft_velocity': 10.0, **PUSH}
-THICK = {'arm.length': 0.4, 'arm.height': 0.05, 'arm.width': 0.05, 'motor.shaft_inertia': 0.1,
+THICK = {'arm.length': 0.4, 'arm.section.height': 0.05, 'arm.section.width': 0.05,
+         'motor.shaft_inertia': 0.1,
          'end_effector.inertia': 0.01}
-SOFT = {'arm.length': 1.0, 'arm.height': 0.04, 'arm.width': 0.04, 'arm.young_modulus': 1e8,
+SOFT = {'arm.length': 1.0, 'arm.section.height': 0.04, 'arm.section.width': 0.04,
+        'arm.young_modulus': 1e8,
         'arm.shear_modulus': 4e7, 'arm.density': 1200.0, 'motor.shaft_inertia': 0.5,
         'end_effector.mass': 0.5, 'end_effector.inertia': 0.01}
 

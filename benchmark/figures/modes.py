@@ -17,7 +17,8 @@ from benchmark.report import BLUE, fill, GREY, parser, RED, table
 from oracles.linear_beam import spinning, WRIGHT
 import timo_sim
 
-BARE = {'arm.length': 1.0, 'arm.width': 0.01, 'arm.height': 0.001, 'end_effector.mass': 0.0,
+BARE = {'arm.length': 1.0, 'arm.section.width': 0.01, 'arm.section.height': 0.001,
+        'end_effector.mass': 0.0,
         'end_effector.inertia': 0.0}
 COUNTS = 3, 5, 8, 12
 SPEEDS = 1.0, 2.0, 4.0  # over the first frequency at rest

@@ -17,7 +17,7 @@ from scipy.special import ellipeinc, ellipkinc
 import timo_sim
 
 LENGTH, RAMP, DURATION = 2.0, 4.0, 16.0
-ARM = {'arm.length': LENGTH, 'arm.height': 0.005, 'end_effector.inertia': 0.0}
+ARM = {'arm.length': LENGTH, 'arm.section.height': 0.005, 'end_effector.inertia': 0.0}
 
 
 def elastica(load):

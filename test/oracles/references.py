@@ -22,9 +22,10 @@ TORQUE = {'load.torque.piecewise.time': [0.0, 0.5, 1.0],
 PENDULUM = {'gravity': [0.0, -9.81], 'carrier.held': 'both', 'initial.shaft': 0.0}
 # The arm of config/spin_up.yaml, clamped and let go horizontally: its weight bends it by up to a
 # fifth of its length.
-CANTILEVER = {'arm.length': 10.0, 'arm.width': math.sqrt(0.006), 'arm.height': math.sqrt(0.006),
+CANTILEVER = {'arm.length': 10.0, 'arm.section.width': math.sqrt(0.006),
+              'arm.section.height': math.sqrt(0.006),
               'arm.density': 200.0, 'arm.young_modulus': 1.4e4 / 3e-6,
-              'arm.shear_modulus': 1e7 / 0.006, 'arm.shear_correction': 1.0,
+              'arm.shear_modulus': 1e7 / 0.006, 'arm.section.shear_correction': 1.0,
               'end_effector.mass': 0.0, 'end_effector.inertia': 0.0, 'gravity': [0.0, -9.81],
               'carrier.held': 'both', 'motor.shaft': 'locked', 'initial.shaft': 0.0}
 STATIONS = {'0': 0.0, 'l4': 0.25, 'l2': 0.5, '3l4': 0.75, 'l': 1.0}  # xi / l

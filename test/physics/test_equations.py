@@ -40,7 +40,7 @@ CONSTRAINTS = {
 
 
 # As stiff in bending as the default arm, with an eighteenth of its axial stiffness.
-STRETCHING = {'arm.height': 0.08, 'arm.young_modulus': 1e9, 'arm.density': 677.5}
+STRETCHING = {'arm.section.height': 0.08, 'arm.young_modulus': 1e9, 'arm.density': 677.5}
 
 
 def scene_of(formulation, constraints, damping=0.03, **values):

@@ -179,7 +179,8 @@ def test_a_rotating_arm_stiffens_under_its_centrifugal_force():
     """Against the closed form of a tip mass on a massless arm under the tension m l Omega^2."""
     length, tip, speed = 2.0, 2.0, 5.0
     scene = timo_sim.load_scene({
-        'arm.density': 1.0, 'arm.height': 0.005, 'carrier.mass': 1e8, 'motor.shaft_inertia': 1e8,
+        'arm.density': 1.0, 'arm.section.height': 0.005, 'carrier.mass': 1e8,
+        'motor.shaft_inertia': 1e8,
         'end_effector.mass': tip, 'end_effector.inertia': 0.0, 'model.modes': 5,
         'initial.shaft_velocity': speed, 'initial.modal_rates': [1e-4] + [0.0] * 4,
         # The light arm under tension is a string: the phase of mode 5 grows by 0.4 rad in a step.

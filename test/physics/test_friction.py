@@ -263,7 +263,7 @@ def test_the_acceleration_of_the_tip_includes_friction():
 
 LIGHT = {'motor.shaft_inertia': 0.01, 'motor.coulomb_friction': 30.0,
          'load.torque.harmonic.amplitude': [36.0], 'load.torque.harmonic.frequency': [0.3]}
-THICK = {'arm.height': 0.2, 'motor.coulomb_friction': 1e4, 'carrier.coulomb_friction': 1e4,
+THICK = {'arm.section.height': 0.2, 'motor.coulomb_friction': 1e4, 'carrier.coulomb_friction': 1e4,
          'initial.shaft_velocity': 1.0}
 
 

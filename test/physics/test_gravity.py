@@ -25,7 +25,8 @@ HANGING = {**DOWN, 'carrier.held': 'both', 'initial.shaft': -np.pi / 2}
     (0.005, 0.3, -2.9, 'none', 25.0)])
 def test_cantilever_under_its_own_weight_is_the_elastica(height, tip, angle, static, least):
     scene = timo_sim.load_scene({
-        **CLAMPED, 'arm.height': height, 'end_effector.mass': tip, 'end_effector.inertia': 0.0,
+        **CLAMPED, 'arm.section.height': height, 'end_effector.mass': tip,
+        'end_effector.inertia': 0.0,
         'initial.shaft': angle, 'model.modes': 8, 'model.static_modes': static})
     section, (along, across) = scene.manipulator.arm.section, (-np.sin(angle), -np.cos(angle))
     weight = G * np.array([along, across])
@@ -106,7 +107,7 @@ def test_a_swinging_arm_against_spectral_elements(held, gravity, angle):
 
 @pytest.mark.parametrize('values', [
     HANGING, {**HANGING, 'carrier.held': 'y'}, CLAMPED,
-    {**CLAMPED, 'arm.height': 0.008, 'end_effector.mass': 0.3, 'initial.shaft': 0.4}],
+    {**CLAMPED, 'arm.section.height': 0.008, 'end_effector.mass': 0.3, 'initial.shaft': 0.4}],
     ids=['hanging', 'hanging, x free', 'clamped', 'far bent'])
 def test_vibrations_about_an_equilibrium(values):
     scene = timo_sim.load_scene({**values, 'model.modes': 8, 'initial.equilibrium': True})

@@ -13,7 +13,8 @@ import timo_sim
 from timo_sim.model.layout import LOADS, SPEED
 
 RADIUS, LENGTH = 0.3, 1.2
-ARM = {'arm.length': LENGTH, 'arm.height': 0.01, 'arm.width': 0.03, 'end_effector.mass': 0.4,
+ARM = {'arm.length': LENGTH, 'arm.section.height': 0.01, 'arm.section.width': 0.03,
+       'end_effector.mass': 0.4,
        'end_effector.inertia': 0.01, 'motor.shaft_inertia': 0.05}
 LOADED = {**ARM, 'load.torque.harmonic.amplitude': [3.0], 'load.torque.harmonic.frequency': [1.0],
           'load.tip_force_x.harmonic.amplitude': [2.0],
@@ -114,7 +115,8 @@ def test_reference_of_a_spinning_arm_is_that_of_the_literature():
 @pytest.mark.parametrize('ratio', [0.0, 0.5, 2.0])
 def test_stiffens_a_spinning_arm(ratio):
     """Southwell's coefficient grows with the hub: frequencies of `exact`, linear at each speed."""
-    values = {'arm.length': 1.0, 'arm.height': 1e-3, 'end_effector.mass': 0.0, 'model.modes': 8,
+    values = {'arm.length': 1.0, 'arm.section.height': 1e-3, 'end_effector.mass': 0.0,
+              'model.modes': 8,
               'end_effector.inertia': 0.0, 'hub.radius': ratio, 'carrier.held': 'both',
               'motor.shaft': 'driven', 'motor.drive.time': [0.0], 'motor.drive.angle': [0.0],
               'motor.drive.speed': [0.0], 'motor.drive.acceleration': [0.0]}

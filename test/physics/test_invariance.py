@@ -107,7 +107,8 @@ def test_units(formulation, scene, metre, kilogram, second):
     expected[:, 8] /= second
     expected[:, 9:12] *= modal / second
     model = {
-        'arm.length': 2.0 * metre, 'arm.width': 0.02 * metre, 'arm.height': 0.02 * metre,
+        'arm.length': 2.0 * metre, 'arm.section.width': 0.02 * metre,
+        'arm.section.height': 0.02 * metre,
         'arm.density': 2710.0 * kilogram / metre**3,
         'arm.young_modulus': 70.5e9 * newton / metre**2,
         'arm.shear_modulus': 27e9 * newton / metre**2, 'carrier.mass': 5.0 * kilogram,

@@ -166,7 +166,7 @@ BENT = {'carrier.held': 'both', 'motor.shaft': 'locked', 'initial.shaft': 0.0, '
 BUCKLED = {'load.tip_force_x.table.time': [0.0, 1.0],
            'load.tip_force_x.table.value': [0.0, -900.0],
            'load.tip_force_y.piecewise.time': [0.0], 'load.tip_force_y.piecewise.value': [2.0]}
-LARGE = {'end_effector.mass': 0.5, 'end_effector.inertia': 0.01, 'arm.height': 0.01,
+LARGE = {'end_effector.mass': 0.5, 'end_effector.inertia': 0.01, 'arm.section.height': 0.01,
          'load.tip_force_y.piecewise.time': [0.0], 'load.tip_force_y.piecewise.value': [60.0]}
 
 

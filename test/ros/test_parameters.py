@@ -39,19 +39,20 @@ MOTOR = {'motor.dc.resistance': 0.5, 'motor.dc.torque_constant': 0.06, 'motor.dc
 
 SAME = {
     'another namespace': '/other/timo_sim: {ros__parameters: {arm.length: 3.0}}\n'
-                         '/timo_sim: {ros__parameters: {arm.width: 0.03}}',
+                         '/timo_sim: {ros__parameters: {arm.section.width: 0.03}}',
     'another node': 'timo_sim_2: {ros__parameters: {arm.length: 3.0}}\n'
-                    'timo_sim: {ros__parameters: {arm.width: 0.03}}',
+                    'timo_sim: {ros__parameters: {arm.section.width: 0.03}}',
     'nested namespaces': '/: {timo_sim: {ros__parameters: {arm.length: 3.0}}}\n'
                          'other: {timo_sim: {ros__parameters: {arm.length: 4.0}}}',
     'one star': '/*: {ros__parameters: {arm.length: 3.0}}',
     'one star more': '/*/timo_sim: {ros__parameters: {arm.length: 3.0}}\n'
-                     '/**: {ros__parameters: {arm.width: 0.03}}',
+                     '/**: {ros__parameters: {arm.section.width: 0.03}}',
     'stars and a name': '/**/timo_sim: {ros__parameters: {arm.length: 3.0}}',
     'stars, then a name': '/**: {timo_sim: {ros__parameters: {arm.length: 3.0}}}',
     'stars that come last': 'timo_sim: {ros__parameters: {arm.length: 3.0}}\n'
                             '/**: {ros__parameters: {arm: {length: 4.0}}}',
-    'numbers': 'timo_sim: {ros__parameters: {arm.length: 010, arm.width: 2e-2, model.modes: 0x3}}',
+    'numbers': 'timo_sim: {ros__parameters: {arm.length: 010, arm.section.width: 2e-2, '
+               'model.modes: 0x3}}',
     "rclpy's own": 'timo_sim: {ros__parameters: {use_sim_time: false, arm.length: 3.0, '
                    'qos_overrides: {/timo_sim/tip_pose: {publisher: {depth: 5}}}}}',
     'a mark of UTF-8': '\ufefftimo_sim: {ros__parameters: {arm.length: 3.0}}'}
@@ -62,12 +63,12 @@ REFUSED = {
         'timo_sim: {ros__parameters: {arm: {length: 3.0}, arm.length: 4.0}}',
         'timo_sim: {ros__parameters: {arm: {length: 3.0}, arm: {width: 0.03}}}',
         'timo_sim: {ros__parameters: {arm.length: 3.0}}\n'
-        'timo_sim: {ros__parameters: {arm.width: 0.03}}',
+        'timo_sim: {ros__parameters: {arm.section.width: 0.03}}',
         'timo_sim: {ros__parameters: {arm.length: 3.0}}\n'
         '/timo_sim: {ros__parameters: {arm.length: 4.0}}'),
     '^(?!.*is given twice)': (
         'timo_sim: {ros__parameters: {arm: {<<: {length: 3.0}}}}',
-        'timo_sim: {ros__parameters: {arm.width: &a 0.03, arm.height: *a}}',
+        'timo_sim: {ros__parameters: {arm.section.width: &a 0.03, arm.section.height: *a}}',
         'timo_sim: {ros__parameters: {arm.length: 3.0}}\nversion: 3'),
     'use_sim_times = True is not a parameter': (
         'timo_sim: {ros__parameters: {use_sim_times: true}}',)}

@@ -139,7 +139,8 @@ def test_hints_are_given_and_the_node_goes_on(start, tmp_path):
     (tmp_path / 'b.yaml').write_text('/**: {timo_sim: {ros__parameters: {duration: 0.1}}}')
     without_log = start('-r', '__ns:=/left', '--params-file', 'a.yaml', '--params-file', 'b.yaml',
                         record=False, **{'initial.shaft': 45.0, 'arm.length': '2',
-                                         'arm.width': '2.0e-2', 'arm.young_modulus': '70.5e9'})
+                                         'arm.section.width': '2.0e-2',
+                                         'arm.young_modulus': '70.5e9'})
     impossible = start(duration=0.01, record_file='/')
     code, output = without_log.wait()
     assert code == 0 and 'is this meant? initial.shaft = 45 rad is more than a turn' in output

@@ -19,7 +19,7 @@ import numpy as np
 
 from timo_sim.fitting.problem import NORMAL
 from timo_sim.fitting.search import Search
-from timo_sim.scene.parameters import Parameter, PARAMETERS, today
+from timo_sim.scene.parameters import Parameter, PARAMETERS
 from timo_sim.scene.scene import overrides_of, Scene
 
 _MAX_RATIO = 1.5  # of the rise of squares at the ends of an interval to the quadratic one
@@ -150,7 +150,7 @@ class Posterior:
         values = {free.name: np.array([free.value(each) for each in column])
                   for free, column in zip(search.free, x.T)}
         own = [free.name for free in search.free if not free.is_own
-               and today(free.name.partition('[')[0]) in PARAMETERS]
+               and free.name.partition('[')[0] in PARAMETERS]
         return Samples(values, [
             overrides_of(dict(zip(own, map(float, row))), scene)
             for row in zip(*(values[name] for name in own))], float(1.0 / np.sum(weights**2)))

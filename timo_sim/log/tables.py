@@ -24,7 +24,7 @@ from timo_sim.log.read import files_of, LogError, LogFile
 from timo_sim.log.write import (
     in_wall_time, information, MESSAGE, original_names, printable, RESET, TEXT, yaml_text)
 from timo_sim.scene.files import whole_file
-from timo_sim.scene.parameters import frame_names, GONE, ParameterError, PARAMETERS
+from timo_sim.scene.parameters import frame_names, ParameterError, PARAMETERS
 from timo_sim.scene.scene import load_scene
 from timo_sim.topics.cdr import CdrError, form, layout
 from timo_sim.topics.commands import COMMANDS, LARGEST_COMMAND, RefusedError
@@ -176,12 +176,7 @@ class Recording:
 
     @cached_property
     def parameters(self) -> dict[str, Any]:
-        """All logged parameters of the node that are still known, not checked."""
-        return {name: value for name, value in self.logged_parameters.items() if name not in GONE}
-
-    @cached_property
-    def logged_parameters(self) -> dict[str, Any]:
-        """All logged parameters of the node, those that are no more included, not checked."""
+        """All logged parameters of the node, not checked."""
         parameters = json.loads(self.facts.get('parameters', 'null')) if self.facts else {}
         if not isinstance(parameters, dict):
             raise ValueError('its parameters are no dictionary')

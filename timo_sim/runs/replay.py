@@ -23,7 +23,7 @@ from timo_sim.runs.simulate import resolve
 from timo_sim.runs.run import Run
 from timo_sim.scene.files import read_parameter_file
 from timo_sim.scene.parameters import (
-    check, DEFAULTS, frame_names, LATEST, Parameter, ParameterError, SPLIT, steps_in, whole_ratio)
+    check, DEFAULTS, frame_names, LATEST, Parameter, ParameterError, steps_in, whole_ratio)
 from timo_sim.scene.scene import Scene, scene_from
 from timo_sim.simulation.simulator import CARRIER, Simulator
 from timo_sim.simulation.warnings import DivergenceError
@@ -129,8 +129,6 @@ def replay(file: str | Path, changes: Mapping[str, Any] | None = None,
         show(f'logged with {ground}: last bits may differ')
     if same and differing and not repeats:
         show('a bag does not say at which step a command began to act, but in lock step')
-    if recording.logged_parameters.get(SPLIT):
-        show(f'logged with {SPLIT}, which is no more: its steps are not split again')
     if log:
         show(f'new log: {log.path}')
     if again.diverged:

@@ -41,7 +41,7 @@ from timo_sim.runs.run import run_scene
 from timo_sim.runs.simulate import measure_error, resolve
 from timo_sim.scene.files import flatten, read_yaml, whole_file
 from timo_sim.scene.parameters import (
-    check, Parameter, ParameterError, PARAMETERS, SCENE, short, steps_in, today, warn)
+    check, Parameter, ParameterError, PARAMETERS, SCENE, short, steps_in, warn)
 from timo_sim.scene.scene import load_scene, Scene, SceneLike
 from timo_sim.simulation.batch import Batch, lane_size, refusal
 from timo_sim.simulation.warnings import unseen_load
@@ -491,7 +491,7 @@ def _check_grid(given):
                                  + short(values))
         for value in values:
             _check_values('grid', {name: value})
-    return [*map(today, given)], math.prod(len(values) for values in given.values())
+    return [*given], math.prod(len(values) for values in given.values())
 
 
 def _check_random(given):
@@ -511,7 +511,7 @@ def _check_random(given):
                                  f'got {short(ends)}')
         for end in ends:
             _check_values('random', {name: end})
-    return [*map(today, given['ranges'])], given['count']
+    return [*given['ranges']], given['count']
 
 
 def _check_mapping(entry, given):
@@ -523,7 +523,7 @@ def _check_mapping(entry, given):
 def _check_values(entry, values):
     check(values, entry)
     for name in values:
-        if PARAMETERS[today(name)].scope != SCENE:
+        if PARAMETERS[name].scope != SCENE:
             raise ParameterError(f'{name} is a parameter of the node, not of the scene ({entry})')
 
 

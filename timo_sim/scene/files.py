@@ -14,8 +14,7 @@ from typing import Any
 
 import yaml
 
-from timo_sim.scene.parameters import (
-    did_you_mean, ParameterError, PARAMETERS, short, today)
+from timo_sim.scene.parameters import did_you_mean, ParameterError, PARAMETERS, short
 
 QOS = 'qos_overrides.'  # prefix of rclpy's parameters for the QoS of topics
 _MAX_DEPTH = max(name.count('.') for name in PARAMETERS)
@@ -201,7 +200,7 @@ def flatten(values: Mapping[str, Any], prefix: str = '') -> dict[str, Any]:
     """Return nested or dotted values as one dictionary by dotted name, or raise ParameterError."""
     flat = {}
     for name, value in _mapping(values).items():
-        name = today(f'{prefix}{name}')
+        name = f'{prefix}{name}'
         # No parameter has more dots, so that the recursion is bounded.
         nested = isinstance(value, Mapping) and prefix.count('.') <= _MAX_DEPTH
         for each, inner in (flatten(value, f'{name}.') if nested else {name: value}).items():

@@ -235,9 +235,6 @@ MATERIALS = {'acrylic': (1180.0, 3.1e9, 0.37), 'aluminium': (2700.0, 70e9, 0.33)
              'brass': (8500.0, 105e9, 0.34), 'pla': (1240.0, 3.3e9, 0.36),
              'stainless_steel': (7900.0, 195e9, 0.29), 'steel': (7850.0, 210e9, 0.30),
              'titanium': (4430.0, 114e9, 0.34)}
-# Names that parameters had before 0.3.0.
-_RENAMED = {f'arm.{name}': f'arm.section.{name}'
-            for name in ('width', 'height', 'shear_correction')}
 _OF_MATERIAL = 'arm.density', 'arm.young_modulus', 'arm.shear_modulus'
 _SENSOR_TOPICS = [output.name for output in _OUTPUTS if output.delay]
 
@@ -428,25 +425,17 @@ DELAYS = [name for name in PARAMETERS if name.endswith('.delay')]
 
 
 _TIP = 'end_effector.mass', 'end_effector.inertia'
-SPLIT = 'integrator.tolerance'  # 0.2.0 split steps by it
-# Parameters of 0.2.0, whose logs are read without them, and what there is instead.
-GONE = {SPLIT: 'steps are not split, take a smaller integrator.step',
-        **dict.fromkeys(('publish_arm_shape', 'rate.arm_shape'),
-                        'publish_tf shows the bent arm by links of the URDF')}
 
 
 def check(values: Mapping[str, Any], source: str) -> dict[str, Any]:
     """
     Return values by name as their types; raise ParameterError that names the text `source`.
 
-    Older names become those of today. `arm.material` stands for density and moduli; what is given
-    beside it of these has its own value.
+    `arm.material` stands for density and moduli; what is given beside it of these has its own
+    value.
     """
     checked: dict[str, Any] = {}
     for name, value in values.items():
-        name, before = today(name), checked.get(today(name))
-        if name in GONE:
-            raise ParameterError(f'{name} is not a parameter any more: {GONE[name]} ({source})')
         if name not in PARAMETERS:
             raise ParameterError(f'{short(name, str)} = {short(value)} is not a parameter of '
                                  f'timo_sim ({source}){did_you_mean(name, PARAMETERS)}')
@@ -454,18 +443,11 @@ def check(values: Mapping[str, Any], source: str) -> dict[str, Any]:
             checked[name] = PARAMETERS[name].check(value)
         except ParameterError as error:
             raise ParameterError(f'{error} ({source})') from None
-        if before not in (None, checked[name]):
-            raise ParameterError(f'{name} is given twice, by an older name, too ({source})')
     if checked.get('arm.material', 'none') != 'none':
         density, young, poisson = MATERIALS[checked['arm.material']]
         of_material = density, young, 0.5 * young / (1.0 + poisson)
         checked = dict(zip(_OF_MATERIAL, of_material)) | checked
     return checked
-
-
-def today(name: str) -> str:
-    """Return the name that a parameter has today, by its own or an older one."""
-    return _RENAMED.get(name, name)
 
 
 def frame_names(values: Mapping[str, Any]) -> dict[str, str]:

@@ -27,7 +27,7 @@ from timo_sim.scene.loads import (
     CHANNELS, check_slope, Drive, Harmonic, Load, Piecewise, Table)
 from timo_sim.scene.parameters import (
     changed, check, DEFAULTS, DELAYS, did_you_mean, Parameter, ParameterError, PARAMETERS, SCENE,
-    short, today, warn, whole_ratio)
+    short, warn, whole_ratio)
 from timo_sim.topics.outputs import Output, outputs
 
 # Ranges of real solids; `load_scene` warns of values outside.
@@ -740,7 +740,7 @@ def number_of(name: str, scene: Scene, others: str = '',
 
 def _split_index(name):
     match = _INDEXED.fullmatch(name)
-    return (match.group(1), int(match.group(2))) if match else (today(name), None)
+    return (match.group(1), int(match.group(2))) if match else (name, None)
 
 
 def initial_names(scene: Scene) -> list[str]:
