@@ -17,7 +17,7 @@ from timo_sim.model.layout import INPUTS, Motion
 from timo_sim.runs.linear import difference_steps, state_names, state_places
 from timo_sim.scene.parameters import Parameter, ParameterError, short, warn, whole_ratio
 from timo_sim.scene.scene import load_scene, SceneLike
-from timo_sim.simulation.derivatives import check_differentiable, unit_loads
+from timo_sim.simulation.derivatives import unit_loads, why_not_differentiable
 from timo_sim.simulation.loads import ARGUMENTS, check_arguments
 from timo_sim.simulation.simulator import Simulator
 from timo_sim.simulation.snapshot import Joints, variance
@@ -96,7 +96,8 @@ class Observer(PointsOfArm):
     def __init__(self, scene: SceneLike, sensors: Sequence[str] | None = None,
                  disturbance: Mapping[str, Sequence[float]] | None = None) -> None:
         scene = load_scene(scene)
-        check_differentiable(scene)
+        if reason := why_not_differentiable(scene):
+            raise ParameterError(reason)
         self._values, model = scene.values, scene.build()
         noisy = [name for name in _SENSORS if variance(scene.values, name)]
         self.sensors = tuple(noisy if sensors is None else sensors)

@@ -16,8 +16,8 @@ from timo_sim.model.layout import (
     AFTER, INPUTS, LOADS, Motion, rotate, START, STEP_LOADS, TORQUE, VOLTAGE)
 from timo_sim.scene.loads import CHANNELS, Load
 from timo_sim.scene.parameters import Parameter, ParameterError, steps_in
-from timo_sim.scene.scene import load_scene, Scene, SceneLike
-from timo_sim.simulation.loads import Actuators, ACTUATOR_VALUES, commanded_load
+from timo_sim.scene.scene import load_scene, motor_constants, Scene, SceneLike
+from timo_sim.simulation.loads import Actuators, commanded_load, limits_of
 from timo_sim.simulation.simulator import COUNT, MOST_BENT, SAMPLE_EVERY
 from timo_sim.simulation.warnings import divergence, unseen_load
 from timo_sim.steps.lanes import from_lanes, LaneSteps, to_lanes
@@ -42,19 +42,13 @@ class LaneLoads:
             if columns:
                 place = {kind: k for k, kind in enumerate(dict.fromkeys(kinds))}
                 self._parts.append((columns, loads, np.array([place[kind] for kind in kinds])))
-        limits = [tuple([scene.values[name] for name in ACTUATOR_VALUES]) for scene in scenes]
-        different = {each: Actuators(scene.values)
-                     for each, scene in dict(zip(limits, scenes)).items()}
-        actuators = [different[each] for each in limits]
-        self._limit, self._gain = (np.array([getattr(each, name) for each in actuators])
-                                   for name in ('limit', 'gain'))
-        self._slow, slow = {}, set()
-        for lane, each in enumerate(actuators):
-            if len(each.slow):
-                slow.update(each.slow)
-                self._slow[lane] = None
+        limits = np.array([limits_of(scene.values) for scene in scenes])
+        self._limit, slow = limits[:, 0], np.isfinite(limits[:, 1])
+        self._gain = np.array([motor_constants(scene.values)[0] for scene in scenes])
+        self._slow = dict.fromkeys(np.flatnonzero(slow.any(axis=1)).tolist())
         varying = (columns for columns, _, _ in self._parts)
-        self.columns = np.array(sorted(slow.union(*varying)), dtype=np.int64)
+        self.columns = np.array(sorted({*np.flatnonzero(slow.any(axis=0)).tolist()}.union(
+            *varying)), dtype=np.int64)
         self._room = NO_LOADS
         self.reset(range(len(scenes)), 0)
 
@@ -225,13 +219,8 @@ class Batch:
         """
         Return to the initial motion and the start of the loads, all or some.
 
-        Parameters
-        ----------
-        mask : array_like of bool, shape (n,), optional
-            Which; by default all.
-        motion : Motion or array_like, shape (2 (3 + N),) or (n, 2 (3 + N)), optional
-            Where to start instead, see `model.layout`.
-
+        `mask`, of bool, shape (n,), says which; `motion`, shape (2 (3 + N),) or (n, 2 (3 + N)), is
+        where to start instead. Raises ParameterError for other shapes.
         """
         chosen = np.ones(self.n, dtype=bool) if mask is None else np.asarray(mask)
         if chosen.shape != (self.n,) or chosen.dtype != bool:
@@ -245,16 +234,16 @@ class Batch:
                 f'{self._initial.shape[1:]}, got {motions.shape}')
         motions, lanes = np.broadcast_to(motions, self._initial.shape), self._lanes
         states = self._at_start if motion is None else self._states_of(motions, chosen)
-        changed = [(field, from_lanes(field, self.n), new) for field, new in (
-            (lanes.state, states), (lanes.progress, np.array([[1.0, 0.0]] * self.n)),
-            (lanes.motion, motions))]
-        for field, rows, new in changed:
+        for field, new in ((lanes.state, states), (lanes.motion, motions),
+                           (lanes.progress, np.array([[1.0, 0.0]] * self.n))):
+            rows = from_lanes(field, self.n)
             rows[chosen] = new[chosen]
             field[:] = to_lanes(rows)
         # No step: the tips of the states are set; so are the motions, but without loads.
+        motion_lanes = lanes.motion.copy()
         lanes.advance(np.empty(0, dtype=np.int64),
                       np.empty((lanes.groups, 1, STEP_LOADS, 0, WIDTH)))
-        lanes.motion[:] = to_lanes(changed[-1][1])
+        lanes.motion[:] = motion_lanes
         self._origin[chosen] = self.steps
         self._loads.reset(np.flatnonzero(chosen), self.steps)
 

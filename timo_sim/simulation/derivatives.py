@@ -33,13 +33,6 @@ class StepDerivatives(NamedTuple):
     by_input: np.ndarray
 
 
-def check_differentiable(scene: Scene) -> None:
-    """Raise ParameterError if the steps of a scene have no derivatives in closed form."""
-    reason = why_not_differentiable(scene)
-    if reason:
-        raise ParameterError(reason)
-
-
 def why_not_differentiable(scene: Scene) -> str:
     """Return why the steps of a scene have no derivatives in closed form; '' if they have."""
     values = scene.values

@@ -6,16 +6,15 @@
 from __future__ import annotations
 
 from collections.abc import Iterable, Mapping, Sequence
-from dataclasses import replace
 from functools import cached_property
 import math
-from typing import Any
+from typing import Any, NamedTuple
 
 import numpy as np
 
 from timo_sim.compiled.constants import pack
 from timo_sim.model.formulation import Formulation
-from timo_sim.model.layout import INPUTS, LOADS, START, STEP_LOADS
+from timo_sim.model.layout import INPUTS, LOADS, STEP_LOADS
 from timo_sim.model.statics import pick_up
 from timo_sim.scene.parameters import did_you_mean, ParameterError, short
 from timo_sim.scene.scene import motor_constants, Scene
@@ -42,27 +41,12 @@ def check_arguments(names: Iterable[str], source: str) -> None:
 def commanded_load(values: Mapping[str, Any], many: tuple[int, ...] = (),
                    **commands: Any) -> np.ndarray:
     """
-    Return commands as a load, or as many loads.
+    Return commands, by name of ARGUMENTS, as a load or many loads, shape (*many, LOADS).
 
-    Parameters
-    ----------
-    values : mapping
-        By name the parameters that inputs need, see `Input.needs`; arrays of shape `many`.
-    many : tuple of int
-        Shape of the array of loads; the same shape precedes that of commands of their own.
-    **commands : float or sequence of float
-        By name of ARGUMENTS, see `Simulator.step`.
-
-    Returns
-    -------
-    ndarray, shape (*many, LOADS)
-
-    Raises
-    ------
-    ParameterError
-        If a name is unknown, a command has not the right number of finite values, or a parameter
-        that an input needs is 0: a voltage needs a DC motor.
-
+    `values` has the parameters that inputs need, see `Input.needs`, as arrays of shape `many`.
+    Commands are for all loads, or have an element for each. Raises ParameterError if a name is
+    unknown, a command has not the right number of finite values, or a parameter that an input
+    needs is 0: a voltage needs a DC motor.
     """
     check_arguments(commands, 'step')
     load = np.zeros((*many, LOADS))
@@ -93,9 +77,10 @@ def commanded_load(values: Mapping[str, Any], many: tuple[int, ...] = (),
     return load
 
 
-# Parameters from which actuators follow, beside the time step.
-ACTUATOR_VALUES = [*{name for each in INPUTS for name in (each.limit, each.rate_limit)} - {''},
-                   'motor.dc.resistance', 'motor.dc.torque_constant', 'motor.dc.gear_ratio']
+def limits_of(values: Mapping[str, Any]) -> list[list[float]]:
+    """Return the limits of commands and of their rates in a scene, infinite without, (2, LOADS)."""
+    return [[values[name] if name else math.inf for name in names]
+            for names in zip(*((each.limit, each.rate_limit) for each in INPUTS))]
 
 
 class Actuators:
@@ -104,37 +89,19 @@ class Actuators:
 
     The goal of a force or torque is its command, clipped at its limit. With a limit of its rate it
     moves to the goal on a straight line that begins at the step at which the goal changed, so that
-    what acts in a step does not depend on how many steps are done at once.
+    what acts in a step does not depend on how many steps are done at once. They act from step
+    `first` on; `values` are the scene's parameters.
 
-    Parameters
-    ----------
-    values : dict
-        The scene's parameters, by name.
-    first : int, optional
-        Step from which they act.
-
-    Attributes
-    ----------
-    packed : packed constants
-        Of the compiled functions, with the memory of the actuators, see `steps.loads.Actuators`.
-    limit : ndarray, shape (LOADS,)
-        Limits of commands.
-    slow : ndarray of int
-        Columns of a load with a limit of their rate.
-    gain : float
-        Torque per voltage [N m/V].
-
+    `packed` are the constants of the compiled functions, with the memory of the actuators, see
+    `steps.loads.Actuators`; `slow` are the columns of a load with a limit of their rate.
     """
 
     def __init__(self, values: Mapping[str, Any], first: int = 0) -> None:
-        limit = np.array([values[each.limit] if each.limit else np.inf for each in INPUTS])
-        rate = np.array([values[each.rate_limit] if each.rate_limit else np.inf
-                         for each in INPUTS])
-        self.gain, _ = motor_constants(values)
+        limit, rate = np.array(limits_of(values))
         self.packed = pack(steps_loads.Actuators(
-            values['integrator.step'], self.gain, limit, rate, np.zeros(LOADS), np.zeros(LOADS),
-            np.array([first])))
-        self.limit, self.slow = self.packed.limit, np.flatnonzero(np.isfinite(rate))
+            values['integrator.step'], motor_constants(values)[0], limit, rate, np.zeros(LOADS),
+            np.zeros(LOADS), np.array([first])))
+        self.slow = np.flatnonzero(np.isfinite(rate))
 
     def warm_up(self) -> None:
         """Compile, or load from disk, what loads and commands of all kinds need."""
@@ -164,40 +131,17 @@ _FEW = 8  # most steps whose loads are copied: compiled functions take the same 
 
 
 class LoadTable:
-    """
-    Loads of steps; the steps are counted from the start of the scene's own loads.
-
-    Parameters
-    ----------
-    scene : Scene
-    actuators : Actuators
-
-    """
+    """Loads of steps; the steps are counted from the start of the scene's own loads."""
 
     def __init__(self, scene: Scene, actuators: Actuators) -> None:
         self._load, self._step, self.actuators = scene.load, scene.step, actuators
         self._begin, self._block, self._room, self._sums = 0, NO_LOADS, NO_LOADS, NO_LOADS
 
-    def at_start(self) -> np.ndarray:
-        """Return the scene's own load at its beginning, shape (LOADS,)."""
-        return self._load.stages(0, 1, self._step)[0, START]
-
     def stages(self, first: int, count: int, commanded: np.ndarray | None = None) -> np.ndarray:
         """
-        Return the loads of steps.
+        Return the loads of steps, shape (count, 4, LOADS), valid until the next call.
 
-        Parameters
-        ----------
-        first, count : int
-            Number of the first step, and number of steps.
-        commanded : ndarray, shape (LOADS,), optional
-            Commands from the first step on, whose loads are added.
-
-        Returns
-        -------
-        ndarray, shape (count, 4, LOADS)
-            Valid until the next call.
-
+        They include those of `commanded`, shape (LOADS,), commands from step `first` on.
         """
         begin, block = self._begin, self._block
         if not begin <= first <= first + count <= begin + len(block):
@@ -218,88 +162,46 @@ class LoadTable:
         return self._sums
 
 
-class TipLoad:
+class TipLoad(NamedTuple):
     """
     Mass and inertia at the tip; the modes stay those of the end effector of the first scene.
 
-    Sections keep place and velocity, since the modes do; a load that is picked up from rest
-    changes velocities, see `model.statics`.
-
-    Parameters
-    ----------
-    scene : Scene
-
-    Attributes
-    ----------
-    tip : tuple of float
-        Mass [kg] and inertia [kg m2] now.
-    lost : float
-        Energy lost in plastic impacts since the initial motion [J].
-
+    `tip` is mass [kg] and inertia [kg m2] now, `lost` the energy lost in plastic impacts since the
+    initial motion [J], `changes` how many changes that the scene prescribes are made.
     """
 
-    def __init__(self, scene: Scene) -> None:
-        self._first = self.tip = _own(scene)
-        self._payloads, self._next, self.lost = scene.payloads, 0, 0.0
+    tip: tuple[float, float]
+    lost: float = 0.0
+    changes: int = 0
 
-    def reset(self, scene: Scene) -> bool:
-        """Return to the end effector of a scene, and whether that is another one than now."""
-        before, self.tip, self._next, self.lost = self.tip, _own(scene), 0, 0.0
-        return self.tip != before
+    def replaced(self, tip: tuple[float, float], scene: Scene, model: Formulation,
+                 motion: np.ndarray) -> tuple[TipLoad, np.ndarray]:
+        """
+        Return the TipLoad with other mass and inertia, and the motion (2 (3 + N),) after that.
 
-    @property
-    def next_step(self) -> float:
-        """Number of the step at which the scene changes the load next; infinite: never."""
-        return self._payloads[self._next][0] if self._next < len(self._payloads) else math.inf
+        `scene` and `model` are those with the new load. Sections keep place and velocity, since
+        the modes do; a load that is picked up from rest changes velocities, see `model.statics`.
+        """
+        added = [max(now - then, 0.0) for now, then in zip(tip, self.tip)]
+        if scene.values['end_effector.pick_up'] != 'at_rest' or not any(added):
+            return self._replace(tip=tip), motion
+        motion, lost = pick_up(model, motion, *added)
+        return self._replace(tip=tip, lost=self.lost + lost), motion
 
-    def take_next(self) -> tuple[float, float]:
-        """Return mass and inertia from `next_step` on, and go to the change after it."""
-        self._next += 1
-        return self._payloads[self._next - 1][1:]
 
-    def of_change(self, before: Scene, scene: Scene) -> tuple[float, float]:
-        """Return mass and inertia after a change of the scene: its own, if it changes them."""
-        return self.tip if _own(scene) == _own(before) else _own(scene)
-
-    def add(self, tip: tuple[float, float]) -> list[float] | None:
-        """Set mass and inertia; return what is added of each, or None if nothing changes."""
-        before, self.tip = self.tip, tip
-        return None if tip == before else [now - then for now, then in zip(tip, before)]
-
-    def model(self, scene: Scene) -> Formulation:
-        """Return the formulation of a scene with this load."""
-        mass, inertia = self._first
-        return scene.build(replace(scene.manipulator, end_effector_mass=mass,
-                                   end_effector_inertia=inertia), self.tip)
-
-    def picked_up(self, scene: Scene, model: Formulation, motion: np.ndarray,
-                  added: Sequence[float]) -> np.ndarray:
-        """Return the motion after mass and inertia are added."""
-        taken = [max(change, 0.0) for change in added]
-        if scene.values['end_effector.pick_up'] == 'at_rest' and any(taken):
-            motion, lost = pick_up(model, motion, *taken)
-            self.lost += lost
-        return motion
+def tip_of(scene: Scene) -> tuple[float, float]:
+    """Return mass [kg] and inertia [kg m2] of a scene's end effector."""
+    return scene.manipulator.end_effector_mass, scene.manipulator.end_effector_inertia
 
 
 def pieces(scene: Scene, steps: np.ndarray,
            payloads: Sequence[tuple[int, float, float]]) -> list[tuple[Formulation, slice]]:
     """
-    Return the formulations of a run whose load at the tip changes, and their samples.
+    Return the formulations of a run whose load at the tip changes, each with its samples.
 
-    Parameters
-    ----------
-    scene : Scene
-    steps : ndarray of int, shape (n,)
-        Of the samples, ascending; one at the step of a change is from before it. If there are
-        several, which a reset divides, the last is from after it.
-    payloads : sequence of (int, float, float)
-        Step, mass [kg] and inertia [kg m2] from then on, ascending.
-
-    Returns
-    -------
-    list of (Formulation, slice)
-
+    `steps`, shape (n,), are those of the samples, ascending; a sample at the step of a change is
+    from before it. If there are several, which a reset divides, the last is from after it.
+    `payloads` are the changes: step, mass [kg] and inertia [kg m2] from then on, ascending.
     """
     first, last = (np.searchsorted(steps, [step for step, *_ in payloads], side)
                    for side in ('left', 'right'))
@@ -307,7 +209,3 @@ def pieces(scene: Scene, steps: np.ndarray,
     tips = [None, *((mass, inertia) for _, mass, inertia in payloads)]
     return [(scene.build(scene.manipulator, tip), slice(first, last))
             for tip, first, last in zip(tips, bounds, bounds[1:]) if first < last]
-
-
-def _own(scene):
-    return scene.manipulator.end_effector_mass, scene.manipulator.end_effector_inertia

@@ -6,7 +6,7 @@
 from __future__ import annotations
 
 from collections.abc import Callable, Sequence
-from copy import copy
+from dataclasses import replace
 from itertools import groupby
 import math
 import threading
@@ -22,9 +22,10 @@ from timo_sim.scene.parameters import check_runtime, Parameter, ParameterError, 
 from timo_sim.scene.scene import load_scene, Scene, SceneLike
 from timo_sim.simulation import warnings
 from timo_sim.simulation.derivatives import (
-    check_differentiable, StepDerivatives, unit_loads)
+    StepDerivatives, unit_loads, why_not_differentiable)
 from timo_sim.simulation.finer import can_refine, choose_parts, refine, tip_distance
-from timo_sim.simulation.loads import Actuators, commanded_load, LoadTable, TipLoad
+from timo_sim.simulation.loads import (
+    Actuators, commanded_load, LoadTable, tip_of, TipLoad)
 from timo_sim.simulation.snapshot import Sensors, Snapshot
 from timo_sim.simulation.warnings import DivergenceError
 from timo_sim.steps.derivatives import step_derivatives
@@ -91,7 +92,7 @@ class Simulator(PointsOfArm):
     def __init__(self, scene: SceneLike, estimate: bool = False) -> None:
         self.steps, scene = 0, load_scene(scene)
         self._lock = threading.RLock()  # threads take turns; a diverged advance calls another
-        self.tip_load = TipLoad(scene)
+        self._first_body, self.tip_load = scene.manipulator, TipLoad(tip_of(scene))
         self._take(scene, scene.build())
         self._ends = self.integration.samples(1, 1)[1:]  # room for the samples of `step`
         self._estimate = estimate and can_refine(scene)
@@ -150,8 +151,9 @@ class Simulator(PointsOfArm):
     def reset(self) -> None:
         """Return to the initial motion and the start of the loads; the count of steps goes on."""
         with self._lock:
-            if self.tip_load.reset(self.scene):
-                self._take(self.scene, self.tip_load.model(self.scene))
+            tip, self.tip_load = self.tip_load.tip, TipLoad(tip_of(self.scene))
+            if tip != self.tip_load.tip:
+                self._take(self.scene, self._model_with(self.scene, self.tip_load.tip))
             motion = self.scene.initial_motion(self.model)
             self._state = self.model.state(motion)
             self.integration.reset()
@@ -160,7 +162,7 @@ class Simulator(PointsOfArm):
                                  or self.model.gravity.any())
             self._origin = self.steps
             self._table = LoadTable(self.scene, Actuators(self.scene.values))
-            self._load = self._table.at_start()
+            self._load = self.scene.load_at_start()
             self.warning = warnings.unseen_load(self.scene)
             self._error, self._behind = 0.0 if self._estimate else math.nan, []
             if self._finer:
@@ -185,7 +187,8 @@ class Simulator(PointsOfArm):
                 self._finer.change(refine(scene, self._parts))
             first = self.steps - self._origin
             actuators = self._table.actuators.changed(scene.values, first)
-            self._continue_with(scene, self.tip_load.of_change(self.scene, scene))
+            changed = tip_of(scene) != tip_of(self.scene)
+            self._continue_with(scene, tip_of(scene) if changed else self.tip_load.tip)
             self._resting = self._resting and not scene.load
             self._table = LoadTable(scene, actuators)
             self.warning = warnings.unseen_load(scene)
@@ -193,19 +196,24 @@ class Simulator(PointsOfArm):
     def _continue_with(self, scene, tip):
         # Go on with another scene, and a mass and inertia at the tip.
         earlier, motion = self.integration, self.motion.values
-        added = self.tip_load.add(tip)
-        self._take(scene, self.tip_load.model(scene))
+        self._take(scene, self._model_with(scene, tip))
         self.integration.continue_from(earlier)
-        if added is not None:
-            motion = self.tip_load.picked_up(scene, self.model, motion, added)
+        if tip != self.tip_load.tip:
+            self.tip_load, motion = self.tip_load.replaced(tip, scene, self.model, motion)
             self._state = self.model.state(motion)
+
+    def _model_with(self, scene, tip):
+        # The formulation of a scene with a mass and inertia at the tip, in the first modes.
+        first = self._first_body
+        return scene.build(replace(scene.manipulator, end_effector_mass=first.end_effector_mass,
+                                   end_effector_inertia=first.end_effector_inertia), tip)
 
     def warm_up(self, tell: Callable[[str], object] | None = None, messages: bool = False) -> None:
         """
         Compile, or load from disk, the functions that `advance` calls.
 
-        With `messages`, also those that messages, sensors and commands need. `tell`, a
-        function(str), is called before a compilation, which takes a second or two.
+        With `messages`, also those that messages, sensors and commands need. `tell` is called with
+        a text before a compilation, which takes a second or two.
         """
         with telling(tell):
             for each in filter(None, (self._finer, self)):
@@ -265,28 +273,11 @@ class Simulator(PointsOfArm):
         They are exact, through the stages of each step, for the `exact` formulation without axial
         modes and without dry friction that sticks, with both axes of the carrier free or held and
         a rigid gear. They are by what acts of commands: limits, also of rates, are not
-        differentiated.
+        differentiated. Rows and columns of coordinates that are held, locked or driven are 0.
 
-        Parameters
-        ----------
-        inputs : sequence of str
-            Names of commands, see `step`; those with two numbers give two columns.
-        duration : float, optional
-            As in `step` [s].
-        **commands : float or sequence of float
-            As in `step`.
-
-        Returns
-        -------
-        StepDerivatives
-            Rows and columns of coordinates that are held, locked or driven are 0.
-
-        Raises
-        ------
-        ParameterError
-            If the scene has what has no derivatives here, an input is unknown, or as by `step`.
-        DivergenceError
-            As `advance` does.
+        `inputs` are names of commands; those with two numbers give two columns. Raises
+        ParameterError if the scene has what has no derivatives here, or an input is unknown, and
+        the errors of `step`.
 
         Examples
         --------
@@ -297,16 +288,17 @@ class Simulator(PointsOfArm):
         ((12, 12), (12, 1))
 
         """
-        check_differentiable(self.scene)
+        if reason := why_not_differentiable(self.scene):
+            raise ParameterError(reason)
         unit = unit_loads(self.scene.values, inputs)
         commanded = commanded_load(self.scene.values, **commands)
         count = 1 if duration is None else steps_in(duration, self.scene.step)
         with self._lock:
             state, load, first = self._state.copy(), self.load, self.steps - self._origin
             integration, size = self.integration, self.model.size
-            if first + count > self.tip_load.next_step:
+            if first + count > self._next_tip:
                 raise ParameterError('derivatives of steps need an end effector that stays, but '
-                                     f'it changes at step {self.tip_load.next_step}')
+                                     f'it changes at step {self._next_tip}')
             loads = self._table.stages(first, count, commanded)
             found = step_derivatives(integration, state, load, loads, unit)
             self.advance(count, commanded)
@@ -314,19 +306,11 @@ class Simulator(PointsOfArm):
 
     def set_motion(self, motion: Motion | ArrayLike) -> None:
         """
-        Go on from another motion, such as one that was measured or is to be tried.
+        Go on from another motion, (2 (3 + N),), such as one that was measured or is to be tried.
 
-        Parameters
-        ----------
-        motion : Motion or array_like, shape (2 (3 + N),)
-            As `Motion.values`. Coordinates that are held, locked or driven keep their own.
-
-        Raises
-        ------
-        ParameterError
-            If it has another shape or is not finite, or the simulator estimates its error, which
-            would then be that of another run.
-
+        Coordinates that are held, locked or driven keep their own. Raises ParameterError if it has
+        another shape or is not finite, or the simulator estimates its error, which would then be
+        that of another run.
         """
         values = np.asarray(motion, dtype=float)
         if values.shape != (self.model.size,) or not np.isfinite(values).all():
@@ -341,18 +325,9 @@ class Simulator(PointsOfArm):
         """
         Go on with the carrier, and the arm that it carries, elsewhere and at another velocity.
 
-        Shaft, deflection and their rates stay. Logs note this as the setting `carrier`.
-
-        Parameters
-        ----------
-        carrier : sequence of float
-            Position x, y [m], then velocity x, y [m/s], in world axes.
-
-        Raises
-        ------
-        ParameterError
-            If it is not four finite numbers, or the carrier is held along an axis and would move.
-
+        `carrier` is position x, y [m], then velocity x, y [m/s], in world axes; shaft, deflection
+        and their rates stay. Logs note this as the setting `carrier`. Raises ParameterError if it
+        is not four finite numbers, or the carrier is held along an axis and would move.
         """
         values = CARRIER.check(carrier)
         if len(values) != 4:
@@ -372,16 +347,10 @@ class Simulator(PointsOfArm):
     def advance(self, count: int, commanded: np.ndarray | None = None,
                 sample_every: int = 0) -> tuple[np.ndarray, np.ndarray]:
         """
-        Advance by some steps.
+        Advance by `count` steps.
 
-        Parameters
-        ----------
-        count : int
-            Number of steps.
-        commanded : ndarray, shape (LOADS,), optional
-            Command during all of them, see `model.layout`, which acts besides the scene's loads.
-        sample_every : int
-            Steps between samples; 0: none are taken.
+        `commanded`, shape (LOADS,), are commands during all of them, see `model.layout`, which act
+        besides the scene's loads. Samples are taken each `sample_every` steps, with 0 none.
 
         Returns
         -------
@@ -415,8 +384,8 @@ class Simulator(PointsOfArm):
         first, done = self.steps - self._origin, 0
         while done < count:
             number = first + done
-            sample = self._change_tip(number) if self.tip_load.next_step <= number else None
-            part = min(count - done, CHUNK, self.tip_load.next_step - number)
+            sample = self._change_tip(number) if self._next_tip <= number else None
+            part = min(count - done, CHUNK, self._next_tip - number)
             loads = self._table.stages(number, part, commanded)
             reached = self.integration.advance(self._state, self._load, loads, samples, done)
             if sample is not None and samples.every and done % samples.every == 0:
@@ -444,11 +413,19 @@ class Simulator(PointsOfArm):
             if len(self._behind) >= _MOST_BEHIND:
                 self.measure_error()
 
+    @property
+    def _next_tip(self):
+        # Step at which the scene changes the load at the tip next; infinite: never.
+        payloads, changes = self.scene.payloads, self.tip_load.changes
+        return payloads[changes][0] if changes < len(payloads) else math.inf
+
     def _change_tip(self, number):
         # Make the changes of the load at the tip that are due; return the motion before.
-        before, self.tip_load = self.motion.values, copy(self.tip_load)  # the old one is kept
-        while self.tip_load.next_step <= number:
-            self._continue_with(self.scene, self.tip_load.take_next())
+        before = self.motion.values
+        while self._next_tip <= number:
+            changes = self.tip_load.changes
+            self._continue_with(self.scene, self.scene.payloads[changes][1:])
+            self.tip_load = self.tip_load._replace(changes=changes + 1)
         return before
 
     @property
