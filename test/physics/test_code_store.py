@@ -31,7 +31,7 @@ def product_by(factor):
 
     with pytest.MonkeyPatch.context() as patch:
         patch.setattr(machine, '_ADDRESSES', {})
-        patch.setattr(machine, '_engine', functools.cache(machine._Engine))
+        patch.setattr(machine, '_engine', functools.cache(machine._engine.__wrapped__))
         return EntryPoint(product, {'number': int})(1)
 
 

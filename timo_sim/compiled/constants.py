@@ -43,16 +43,9 @@ def local_arrays(kind: Any, like: Any) -> Any:
     """
     Return new work arrays, not initialised, for the current call of a compiled function.
 
-    They must not outlive the function that makes them. `emit` makes the code; here it is what
-    Python would do.
-
-    Parameters
-    ----------
-    kind : type
-        A NamedTuple whose annotations say what the arrays are, as those of constants do.
-    like : packed constants
-        The arrays are of lanes if these are.
-
+    They must not outlive it. The annotations of `kind`, a NamedTuple, say what they are, as those
+    of constants do; they are of lanes if the packed constants `like` are. `emit` makes the code;
+    here it is what Python would do.
     """
     return kind(*(np.empty([like.sizes.get(dim, dim) for dim in field.dims])
                   for field in fields_of(kind)))
@@ -94,22 +87,12 @@ class Packed:
     """
     Constants in one block of memory, or a block for each group of lanes.
 
-    `fields` are a NamedTuple, a kind of constants; with lanes the first axis of every array is
+    `fields` are a NamedTuple, the `kind` of constants; with lanes the first axis of every array is
     that of lanes, and whole numbers are the same in all. Axes are padded if `pad`, not for
-    constants that are the same for all lanes. `sizes` are those that no field has.
+    constants that are the same for all lanes. `sizes`, by name, are given for what no field has.
 
-    Attributes
-    ----------
-    kind : type
-    sizes : dict
-        Sizes by name.
-    offsets : dict
-        Place of each field in a block, by name [B].
-    groups : int
-        Number of blocks.
-    views : dict
-        The fields as arrays; the last axis is that of lanes.
-
+    `offsets` are the places of fields in a block, by name, `length` is that of a block [B], and
+    `groups` the number of blocks. `views` are the fields as arrays, by name, with lanes last.
     """
 
     def __init__(self, fields: Any, lanes: bool, pad: bool, sizes: dict[str, int]) -> None:

@@ -18,17 +18,16 @@ from numba import njit  # noqa: F401  loads what the compiler needs
 from numba.core import (
     cgutils, codegen, cpu, dispatcher, registry, target_extension, types)
 from numba.core.compiler_lock import global_compiler_lock
-from numba.core.datamodel import models, register_default
 from numba.core.imputils import lower_builtin, lower_getattr_generic
 from numba.core.types import containers
-from numba.core.typing.templates import (
-    AbstractTemplate, AttributeTemplate, infer_getattr, infer_global, signature)
+from numba.core.typing.templates import AttributeTemplate, infer_getattr, signature
 from numba.extending import typeof_impl
 
 from timo_sim.compiled import functions
 from timo_sim.compiled.constants import fields_of, local_arrays
 from timo_sim.compiled.functions import Array, Constants, Declaration, Function
-from timo_sim.compiled.lanes import LANES, MASK, SHARED, spread, VECTOR, WIDTH
+from timo_sim.compiled.lanes import (
+    infer, LANES, MASK, represent, SHARED, spread, VECTOR, WIDTH)
 
 # Sums may be reordered and fused, which vectorises the short loops; NaN and Inf keep their
 # meaning, so that a diverged state is still seen ('fast' would assume them away).
@@ -72,17 +71,9 @@ def _stored(number):
         number, _WORD)
 
 
-@register_default(View)
-class _ViewModel(models.PrimitiveModel):
-    def __init__(self, manager, kind):
-        super().__init__(manager, kind, _stored(kind.element).as_pointer())
-
-
-@register_default(Block)
-@register_default(Blocks)
-class _BlockModel(models.PrimitiveModel):
-    def __init__(self, manager, kind):
-        super().__init__(manager, kind, _BYTES)
+represent(View, lambda view: _stored(view.element).as_pointer())
+represent(Block, lambda _: _BYTES)
+represent(Blocks, lambda _: _BYTES)
 
 
 def _symbol(builder, name):
@@ -146,10 +137,9 @@ def _shape(context, builder, view, pointer, name):
     return cgutils.pack_array(builder, [_length(builder, dim) for dim in view.dims])
 
 
-@infer_global(len)
-class _Len(AbstractTemplate):
-    def generic(self, given, _):
-        return signature(types.intp, *given) if isinstance(given[0], View) else None
+@infer(len)
+def _infer_len(array):
+    return signature(types.intp, array) if isinstance(array, View) else None
 
 
 @lower_builtin(len, View)
@@ -161,27 +151,23 @@ def _indices(index):
     return tuple(index) if isinstance(index, containers.BaseTuple) else (index,)
 
 
-@infer_global(operator.getitem)
-class _GetItem(AbstractTemplate):
-    def generic(self, given, _):
-        array, index = given
-        if isinstance(array, Blocks):
-            return signature(array.block, array, types.intp)
-        if isinstance(array, Block) and array.number == SHARED:  # the same for each group of lanes
-            return signature(array, array, types.intp)
-        if not isinstance(array, View):
-            return None
-        rest = array.dims[len(_indices(index)):]
-        return signature(View(array.element, rest) if rest else array.element, array, index)
+@infer(operator.getitem)
+def _infer_get_item(array, index):
+    if isinstance(array, Blocks):
+        return signature(array.block, array, types.intp)
+    if isinstance(array, Block) and array.number == SHARED:  # the same for each group of lanes
+        return signature(array, array, types.intp)
+    if not isinstance(array, View):
+        return None
+    rest = array.dims[len(_indices(index)):]
+    return signature(View(array.element, rest) if rest else array.element, array, index)
 
 
-@infer_global(operator.setitem)
-class _SetItem(AbstractTemplate):
-    def generic(self, given, _):
-        array, index, value = given
-        if not isinstance(array, View) or len(_indices(index)) != len(array.dims):
-            return None
-        return signature(types.none, array, index, array.element)
+@infer(operator.setitem)
+def _infer_set_item(array, index, value):
+    if not isinstance(array, View) or len(_indices(index)) != len(array.dims):
+        return None
+    return signature(types.none, array, index, array.element)
 
 
 def _place(context, builder, view, pointer, kind, index):
@@ -227,13 +213,11 @@ def _set_item(context, builder, sig, arguments):
 
 # Functions of `functions`.
 
-@infer_global(functions.local)
-class _Local(AbstractTemplate):
-    def generic(self, given, _):
-        like = given[0]
-        lanes = any(view.element in (LANES, SHARED) for view in like)
-        return signature(View(LANES if lanes else types.float64,
-                              tuple(view.dims[0] for view in like)), like)
+@infer(functions.local)
+def _infer_local(like):
+    lanes = any(view.element in (LANES, SHARED) for view in like)
+    return signature(View(LANES if lanes else types.float64,
+                          tuple(view.dims[0] for view in like)), like)
 
 
 @lower_builtin(functions.local, types.Any)
@@ -251,13 +235,11 @@ def _allocate(builder, view):
     return place
 
 
-@infer_global(local_arrays)
-class _LocalArrays(AbstractTemplate):
-    def generic(self, given, _):
-        kind, like = given[0].instance_class, given[1]
-        number = types.float64 if like.number == types.float64 else LANES
-        views = [View(number, field.dims) for field in fields_of(kind)]
-        return signature(containers.BaseTuple.from_types(views, kind), *given)
+@infer(local_arrays)
+def _infer_local_arrays(kind, like):
+    number = types.float64 if like.number == types.float64 else LANES
+    views = [View(number, field.dims) for field in fields_of(kind.instance_class)]
+    return signature(containers.BaseTuple.from_types(views, kind.instance_class), kind, like)
 
 
 @lower_builtin(local_arrays, types.NamedTupleClass, Block)
@@ -266,38 +248,31 @@ def _local_arrays(context, builder, sig, arguments):
                               [_allocate(builder, view) for view in sig.return_type.types])
 
 
-def _vector_function(name):
-    def call(context, builder, sig, arguments):
+def _define_intrinsic(function, name):
+    """Define a function of floats and lanes as an intrinsic function of LLVM."""
+    @infer(function)
+    def _infer_call(value):
+        return signature(LANES if value in (LANES, SHARED) else types.float64, value)
+
+    @lower_builtin(function, types.Any)
+    def _call(context, builder, sig, arguments):
         value = context.cast(builder, arguments[0], sig.args[0], sig.return_type)
         suffix = f'v{WIDTH}f64' if sig.return_type == LANES else 'f64'
-        function = cgutils.get_or_insert_function(
+        intrinsic = cgutils.get_or_insert_function(
             builder.module, ir.FunctionType(value.type, [value.type]), f'llvm.{name}.{suffix}')
-        return builder.call(function, [value])
-    return call
+        return builder.call(intrinsic, [value])
 
 
-def _define_function(function, name):
-    class Template(AbstractTemplate):
-        def generic(self, given, _):
-            lanes = given[0] in (LANES, SHARED)
-            return signature(LANES if lanes else types.float64, *given)
-
-    infer_global(function)(type('Template', (Template,), {}))
-    lower_builtin(function, types.Any)(_vector_function(name))
+_define_intrinsic(functions.floor, 'floor')
+_define_intrinsic(functions.magnitude, 'fabs')
+_define_intrinsic(functions.square_root, 'sqrt')
 
 
-_define_function(functions.floor, 'floor')
-_define_function(functions.magnitude, 'fabs')
-_define_function(functions.square_root, 'sqrt')
-
-
-@infer_global(functions.where)
-class _Where(AbstractTemplate):
-    def generic(self, given, _):
-        condition, yes, no = given
-        lanes = any(kind in (LANES, SHARED, MASK) for kind in given)
-        result = LANES if lanes else types.float64
-        return signature(result, condition, result, result)
+@infer(functions.where)
+def _infer_where(condition, yes, no):
+    lanes = any(kind in (LANES, SHARED, MASK) for kind in (condition, yes, no))
+    result = LANES if lanes else types.float64
+    return signature(result, condition, result, result)
 
 
 @lower_builtin(functions.where, types.Any, types.Any, types.Any)
@@ -305,10 +280,9 @@ def _where(context, builder, sig, arguments):
     return builder.select(*arguments)
 
 
-@infer_global(functions.some)
-class _Some(AbstractTemplate):
-    def generic(self, given, _):
-        return signature(types.boolean, *given)
+@infer(functions.some)
+def _infer_some(condition):
+    return signature(types.boolean, condition)
 
 
 @lower_builtin(functions.some, types.Any)
@@ -326,14 +300,13 @@ def _view_of_vectors(view):
     return View(LANES, (*first, f'{last}/{WIDTH}' if isinstance(last, str) else last // WIDTH))
 
 
-@infer_global(functions.as_vectors)
-class _AsVectors(AbstractTemplate):
-    def generic(self, given, _):
-        if isinstance(given[0], View):
-            return signature(_view_of_vectors(given[0]), *given)
-        views = [_view_of_vectors(view) if str(view.dims[-1]).startswith('padded') else view
-                 for view in given[0].types]
-        return signature(containers.BaseTuple.from_types(views, given[0].instance_class), *given)
+@infer(functions.as_vectors)
+def _infer_as_vectors(given):
+    if isinstance(given, View):
+        return signature(_view_of_vectors(given), given)
+    views = [_view_of_vectors(view) if str(view.dims[-1]).startswith('padded') else view
+             for view in given.types]
+    return signature(containers.BaseTuple.from_types(views, given.instance_class), given)
 
 
 @lower_builtin(functions.as_vectors, View)
@@ -349,11 +322,10 @@ def _all_as_vectors(context, builder, sig, arguments):
         for pointer, view in zip(pointers, sig.return_type.types)])
 
 
-@infer_global(functions.sum_of)
-class _SumOf(AbstractTemplate):
-    def generic(self, given, _):
-        lanes = given[1].element in (LANES, SHARED)
-        return signature(LANES if lanes else types.float64, LANES, given[1])
+@infer(functions.sum_of)
+def _infer_sum_of(vector, like):
+    lanes = like.element in (LANES, SHARED)
+    return signature(LANES if lanes else types.float64, LANES, like)
 
 
 @lower_builtin(functions.sum_of, LANES, View)

@@ -20,17 +20,9 @@ class EntryPoint(Function):
     """
     A function that Python calls.
 
-    Parameters
-    ----------
-    function : function
-    arguments : dict
-        What its arguments are, by name: `Constants` first, then `Array`, int or float. It returns
-        an int or nothing.
-    name : str
-        Name in its module, by default that of the function.
-    fast : bool
-        See `Function`.
-
+    `arguments` says what its arguments are, by name: `Constants` first, then `Array`, int or
+    float. It returns an int or nothing. `name` is that in its module, by default the function's;
+    for `fast` see `Function`.
     """
 
     def __init__(self, function: Callable, arguments: dict[str, Any], name: str = '',
@@ -84,15 +76,7 @@ class Call:
         self._last: tuple[list[Any], list[Any]] = [_Code] * len(wanted), [None] * len(wanted)
 
     def __call__(self, *args: Any) -> int:
-        """
-        Call the machine code.
-
-        Raises
-        ------
-        ValueError
-            If an array is of another shape or type than the machine code reads.
-
-        """
+        """Call the machine code; ValueError if an array is not of the shape or type it reads."""
         values, places = self._last
         if len(args) != len(values) or not all(map(is_, args, values)):
             places = self._check(args)

@@ -4,6 +4,7 @@
 """Decorators of compiled functions, kinds of arguments of entry points, and what they may call."""
 
 from collections.abc import Callable
+from functools import partial
 import math
 from typing import Any, NamedTuple
 
@@ -30,21 +31,6 @@ class Function:
         return self.function(*args)
 
 
-def inner(function: Callable) -> Function:
-    """Compile a function that only compiled functions call; it becomes part of its callers."""
-    return Function(function)
-
-
-def separate(function: Callable) -> Function:
-    """Compile a function that only compiled functions call, as one copy for all of them."""
-    return Function(function, merge=False)
-
-
-def strict(function: Callable) -> Function:
-    """Compile a function that only compiled functions call, without any fast math."""
-    return Function(function, fast=False)
-
-
 class Declaration(Function):
     """
     A function whose body is chosen, when it is compiled, by the kind of its first argument.
@@ -64,9 +50,11 @@ class Declaration(Function):
         return add
 
 
-def declare(function: Callable) -> Declaration:
-    """Declare a function whose bodies are registered by kinds of constants."""
-    return Declaration(function)
+# Decorators of functions that only compiled functions call.
+inner = Function                           # part of its callers
+separate = partial(Function, merge=False)  # one copy for all of them
+strict = partial(Function, fast=False)     # without any fast math
+declare = Declaration
 
 
 class Array(NamedTuple):

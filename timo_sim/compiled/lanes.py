@@ -14,7 +14,9 @@ numbers only. A value of type SHARED is the same for all lanes: one float in mem
 In NumPy lanes are the last axis of an array, of length WIDTH.
 """
 
+from collections.abc import Callable
 import operator
+from typing import Any
 
 from llvmlite import ir
 from numba.core import cgutils, types
@@ -77,22 +79,26 @@ class _Mask(types.Type):
 LANES, SHARED, MASK = _Lanes(), _Shared(), _Mask()
 
 
-@register_default(_Lanes)
-class _LanesModel(models.PrimitiveModel):
-    def __init__(self, manager, kind):
-        super().__init__(manager, kind, VECTOR)
+def represent(kind: type, type_of: Callable[[Any], ir.Type]) -> None:
+    """Represent values of a type of numba by a type of LLVM."""
+    class Model(models.PrimitiveModel):
+        def __init__(self, manager, each):
+            super().__init__(manager, each, type_of(each))
+
+    register_default(kind)(Model)
 
 
-@register_default(_Mask)
-class _MaskModel(models.PrimitiveModel):
-    def __init__(self, manager, kind):
-        super().__init__(manager, kind, ir.VectorType(ir.IntType(1), WIDTH))
+represent(_Lanes, lambda _: VECTOR)
+represent(_Shared, lambda _: VECTOR)
+represent(_Mask, lambda _: ir.VectorType(ir.IntType(1), WIDTH))
 
 
-@register_default(_Shared)
-class _SharedModel(models.PrimitiveModel):
-    def __init__(self, manager, kind):
-        super().__init__(manager, kind, VECTOR)
+def infer(function: Any) -> Callable[[Callable[..., Any]], None]:
+    """Return a decorator for what returns the signature of a function, or None, for types."""
+    def register(signature_for):
+        infer_global(function)(type('Template', (AbstractTemplate,), {
+            'generic': lambda _, given, __: signature_for(*given)}))
+    return register
 
 
 def spread(builder: ir.IRBuilder, value: ir.Value) -> ir.Value:
@@ -116,15 +122,14 @@ def _lanes_of_shared(context, builder, source, _, value):
 
 def _define(operators, kinds, result, generate):
     """Define operators of lanes or masks; `generate` takes an IRBuilder and the operands."""
-    class Template(AbstractTemplate):
-        def generic(self, given, _):
-            ours = any(kind in (LANES, SHARED, MASK) for kind in given)
-            return signature(result, *kinds) if ours and len(given) == len(kinds) and all(
-                kind == wanted or wanted == LANES and (kind == SHARED or _is_number(kind))
-                for kind, wanted in zip(given, kinds)) else None
+    def signature_for(*given):
+        ours = any(kind in (LANES, SHARED, MASK) for kind in given)
+        return signature(result, *kinds) if ours and len(given) == len(kinds) and all(
+            kind == wanted or wanted == LANES and (kind == SHARED or _is_number(kind))
+            for kind, wanted in zip(given, kinds)) else None
 
     for each in operators:
-        infer_global(each)(type('Template', (Template,), {}))
+        infer(each)(signature_for)
         lower_builtin(each, *kinds)(
             lambda context, builder, _, operands: generate(builder, *operands))
 

@@ -76,19 +76,12 @@ def _emit(entry, kinds):
         raise ImportError('numba cannot be imported with its settings, NUMBA_* of the environment '
                           'or .numba_config.yaml in the working directory: '
                           + ' '.join(str(error).split())) from error
-    with _no_garbage_collection():
-        return emit(entry, kinds)
-
-
-@contextmanager
-def _no_garbage_collection() -> Iterator[None]:
-    # While numba compiles, the collector frees little and takes a tenth of the time.
-    enabled = gc.isenabled()
-    gc.disable()
+    collecting = gc.isenabled()
+    gc.disable()  # while numba compiles, the collector frees little and takes a tenth of the time
     try:
-        yield
+        return emit(entry, kinds)
     finally:
-        if enabled:
+        if collecting:
             gc.enable()
 
 
@@ -192,18 +185,12 @@ def _optimise(module, machine):
     builder.getModulePassManager().run(module, builder)
 
 
-class _Engine:
-    def __init__(self):
-        _initialise()
-        self.engine = llvm.create_mcjit_compiler(llvm.parse_assembly(''), _loading_machine())
-
-    def add(self, data, name):
-        self.engine.add_object_file(llvm.ObjectFileRef.from_data(data))
-        self.engine.finalize_object()
-        return self.engine.get_function_address(name)
+@functools.cache
+def _engine():
+    _initialise()
+    return llvm.create_mcjit_compiler(llvm.parse_assembly(''), _loading_machine())
 
 
-_engine = functools.cache(_Engine)
 _ADDRESSES: dict[str, int] = {}
 
 
@@ -215,7 +202,9 @@ def load(entry: Any, constants: tuple[Any, ...]) -> int:
         if name not in _ADDRESSES:
             data = store.read_or_make(
                 f'{name}.o', lambda: _compile(entry, kinds, symbols, name))
-            _ADDRESSES[name] = _engine().add(data, name)
+            _engine().add_object_file(llvm.ObjectFileRef.from_data(data))
+            _engine().finalize_object()
+            _ADDRESSES[name] = _engine().get_function_address(name)
         return _ADDRESSES[name]
 
 
