@@ -10,11 +10,10 @@ A sweep writes a part for each job, and joins all parts to a Parquet file.
 from __future__ import annotations
 
 from collections import deque
-from collections.abc import Iterable, Iterator, Mapping
+from collections.abc import Callable, Iterable, Iterator, Mapping
 from concurrent.futures import Executor, ProcessPoolExecutor
 from concurrent.futures.process import BrokenProcessPool
 from contextlib import contextmanager
-from dataclasses import dataclass
 import fcntl
 import hashlib
 import itertools
@@ -403,66 +402,42 @@ def _end_with_parent():
     os._exit(1)
 
 
-_KINDS = ('runs', 'grid', 'random')
-_ENTRIES = ('scene', 'parameters', 'duration', *_KINDS)
 _DURATION = Parameter('duration', 1.0, 's', 'sim time of each run', low=0.0, open_low=True)
 _RANDOM = {'seed': Parameter('random: seed', 0, '', 'seed of the random values', low=0),
            'count': Parameter('random: count', 1, '', 'number of runs', low=1)}
 
 
-@dataclass(frozen=True)
-class Plan:
+class Plan(NamedTuple):
     """The checked content of a sweep's file."""
 
     scene: Scene
-    duration: float  # [s]
+    duration: float   # [s]
+    fingerprint: str  # differs for plans whose results may differ
     names: list[str]  # of the parameters that vary
-    count: int       # number of runs
-    kind: str        # one of _KINDS
-    given: Any       # the file's entry of this kind
-
-    def variations(self) -> Iterator[dict[str, Any]]:
-        """Yield the overrides of each run, the same ones each time."""
-        if self.kind == 'runs':
-            yield from self.given
-        elif self.kind == 'grid':
-            for values in itertools.product(*self.given.values()):
-                yield dict(zip(self.given, values))
-        else:
-            random = np.random.default_rng(self.given['seed'])
-            for _ in range(self.count):
-                yield {name: np.asarray(random.uniform(*ends)).tolist()
-                       for name, ends in self.given['ranges'].items()}
-
-    def jobs(self) -> Iterator[Job]:
-        """Yield the jobs of the sweep, the same ones each time."""
-        return jobs_of(self.scene, self.duration, self.count, self.variations(), self.names)
-
-    @property
-    def fingerprint(self) -> str:
-        """A text that differs for plans whose results may differ."""
-        content = __version__, self.scene.values, self.duration, self.kind, self.given
-        return hashlib.sha256(repr(content).encode()).hexdigest()
+    count: int        # number of runs
+    variations: Callable[[], Iterator[dict[str, Any]]]  # returns the overrides of each run
 
 
 def read_plan(path: Path | str) -> Plan:
     """Read and check the file of a sweep; raise OSError or ParameterError."""
     content = read_yaml(path)
     try:
-        return _check_plan(content, Path(path).parent)
+        return _plan(content, Path(path).parent)
     except ParameterError as error:
         raise ParameterError(f'{error} ({path})') from None
 
 
-def _check_plan(content, folder):
-    if not isinstance(content, dict) or not set(content) <= set(_ENTRIES):
-        shown = [*set(content) - set(_ENTRIES)] if isinstance(content, dict) else content
-        raise ParameterError(f'a sweep has the entries {", ".join(_ENTRIES)}; got {short(shown)}')
-    kinds = [kind for kind in _KINDS if kind in content]
-    if len(kinds) != 1 or 'scene' not in content:
+def _plan(content, folder):
+    kinds = {'runs': _runs, 'grid': _grid, 'random': _random}
+    entries = ('scene', 'parameters', 'duration', *kinds)
+    if not isinstance(content, dict) or not set(content) <= set(entries):
+        shown = [*set(content) - set(entries)] if isinstance(content, dict) else content
+        raise ParameterError(f'a sweep has the entries {", ".join(entries)}; got {short(shown)}')
+    kind, *others = [*kinds.keys() & content.keys()] or ['']
+    if others or not kind or 'scene' not in content:
         raise ParameterError('a sweep must have a scene and one of runs, grid, random; got '
                              + ', '.join(content))
-    scene, kind = content['scene'], kinds[0]
+    scene = content['scene']
     if not isinstance(scene, (str, dict)):
         raise ParameterError('scene must be the name of a file, or parameters, got '
                              + short(scene))
@@ -470,36 +445,39 @@ def _check_plan(content, folder):
                        _check_mapping('parameters', content.get('parameters') or {}))
     duration = _DURATION.check(content.get('duration'))
     steps_in(duration, scene.step)
-    rules = {'runs': _check_runs, 'grid': _check_grid, 'random': _check_random}
-    names, count = rules[kind](content[kind])
-    return Plan(scene, duration, names, count, kind, content[kind])
+    identity = __version__, scene.values, duration, kind, content[kind]
+    return Plan(scene, duration, hashlib.sha256(repr(identity).encode()).hexdigest(),
+                *kinds[kind](content[kind]))
 
 
-def _check_runs(given):
+# For each kind of sweep: names of the parameters that vary, count of runs, and variations.
+
+def _runs(given):
     if not isinstance(given, list) or not given:
         raise ParameterError(f'runs must be a list of sets of parameters, got {short(given)}')
     for run, values in enumerate(given):
         _check_values(f'runs[{run}]', flatten(_check_mapping(f'runs[{run}]', values)))
     names = dict.fromkeys(name for values in given for name in flatten(values))
-    return list(names), len(given)
+    return [*names], len(given), lambda: iter(given)
 
 
-def _check_grid(given):
+def _grid(given):
     for name, values in _check_mapping('grid', given).items():
         if not isinstance(values, list) or not values:
             raise ParameterError(f'grid: {short(name, str)} must be a list of values, got '
                                  + short(values))
         for value in values:
             _check_values('grid', {name: value})
-    return [*given], math.prod(len(values) for values in given.values())
+    return [*given], math.prod(map(len, given.values())), lambda: (
+        dict(zip(given, values)) for values in itertools.product(*given.values()))
 
 
-def _check_random(given):
+def _random(given):
     if set(_check_mapping('random', given)) != {*_RANDOM, 'ranges'}:
         raise ParameterError(f'random must have seed, count and ranges, got {short(list(given))}')
-    for name, parameter in _RANDOM.items():
-        parameter.check(given[name])
-    for name, ends in _check_mapping('random: ranges', given['ranges']).items():
+    seed, count = (rule.check(given[name]) for name, rule in _RANDOM.items())
+    ranges = _check_mapping('random: ranges', given['ranges'])
+    for name, ends in ranges.items():
         try:
             low, high = np.array(ends, dtype=float)
         except (TypeError, ValueError):
@@ -511,7 +489,14 @@ def _check_random(given):
                                  f'got {short(ends)}')
         for end in ends:
             _check_values('random', {name: end})
-    return [*given['ranges']], given['count']
+
+    def variations():
+        random = np.random.default_rng(seed)
+        for _ in range(count):
+            yield {name: np.asarray(random.uniform(*ends)).tolist()
+                   for name, ends in ranges.items()}
+
+    return [*ranges], count, variations
 
 
 def _check_mapping(entry, given):
@@ -566,7 +551,8 @@ def run_sweep(file: Path | str, output: Path | str | None = None, workers: int |
                 total=plan.count, unit='run', disable=None) as bar:
 
             def missing():
-                for job in plan.jobs():
+                for job in jobs_of(plan.scene, plan.duration, plan.count, plan.variations(),
+                                   plan.names):
                     try:
                         found = parquet.read_schema(parts / _PART.format(job.first))
                     except (OSError, pyarrow.ArrowException):  # missing, or damaged: done again
