@@ -40,6 +40,9 @@ _MAX_NUMBER = 1e50  # products of six numbers, as in an energy, do not overflow
 _MAX_LENGTH = 30.0  # longest arm that is not taken for one in millimetres [m]
 _MIN_SLENDERNESS = 3.0  # length over height; a shorter arm is a block, not a beam
 _OF_MATERIAL = 'density', 'young_modulus', 'shear_modulus'
+_JOINTS = 'carrier_x', 'carrier_y', 'shaft'
+_POSITION = [f'initial.{joint}' for joint in _JOINTS]
+_VELOCITY = [f'{name}_velocity' for name in _POSITION]
 _SCENE_NAMES = [name for name, parameter in PARAMETERS.items() if parameter.scope == SCENE]
 
 
@@ -312,8 +315,7 @@ def scene_from(values: Mapping[str, Any]) -> Scene:
         for name in _SCENE_NAMES})
     check_counts(values)
     check_gear(values)
-    check_initial(values)
-    check_push(values)
+    check_together(values)
     payloads_of(values)
     step = values['integrator.step']
     for name in DELAYS:
@@ -414,20 +416,13 @@ def motor_constants(values: Mapping[str, Any]) -> tuple[float, float]:
 
 
 def constraints_of(values: Mapping[str, Any]) -> Constraints:
-    """Return the Constraints that the values describe; raise ParameterError if they conflict."""
-    held, shaft, carrier = values['carrier.held'], values['motor.shaft'], [None, None]
-    zero = {'initial.shaft_velocity': f'motor.shaft = {shaft}'} if shaft == 'locked' else {}
-    for axis, name in enumerate('xy'):
-        if held in (name, 'both'):
-            carrier[axis] = values[f'initial.carrier_{name}']
-            zero[f'initial.carrier_{name}_velocity'] = f'carrier.held = {held}'
-    for name, reason in zero.items():
-        if values[name] != 0.0:
-            raise ParameterError(f'{name} must be 0 with {reason}, got {values[name]}')
+    """Return the Constraints that the values describe; ParameterError if nothing can move."""
+    held, shaft = values['carrier.held'], values['motor.shaft']
     if held == 'both' and shaft != 'free' and modal_count(values) == 0:
         raise ParameterError(f'nothing can move: carrier.held = both, motor.shaft = {shaft}, '
                              'model.modes = 0')
-    return Constraints(tuple(carrier), shaft != 'free',
+    return Constraints(tuple(values[f'initial.carrier_{axis}'] if held in (axis, 'both') else None
+                             for axis in 'xy'), shaft != 'free',
                        values['initial.shaft'] if shaft == 'locked' else None)
 
 
@@ -437,9 +432,6 @@ def payloads_of(values: Mapping[str, Any]) -> tuple[tuple[int, float, float], ..
         name: values[name] for name in ('payload.time', 'payload.mass', 'payload.inertia')})
     if not np.all(np.less(times[:-1], times[1:])):
         raise ParameterError(f'payload.time must ascend, got {short(list(times))}')
-    if times and values['model.formulation'] == 'newton_root_stress':
-        raise ParameterError('payload.time must be empty with model.formulation = '
-                             f'newton_root_stress, got {short(list(times))}')
     steps = [whole_ratio(f'payload.time[{k}]', time, 'integrator.step', values['integrator.step'])
              for k, time in enumerate(times)]
     return tuple(zip(steps, masses, inertias))
@@ -542,21 +534,6 @@ def _same_length(lists):
     return tuple(lists.values())
 
 
-def check_initial(values: Mapping[str, Any]) -> None:
-    """Raise ParameterError if gravity is no vector, or an equilibrium is given a motion."""
-    if len(values['gravity']) != 2:
-        raise ParameterError(f'gravity must have 2 elements, got {len(values["gravity"])}')
-    if not values['initial.equilibrium']:
-        return
-    if values['motor.shaft'] == 'driven':
-        raise ParameterError('initial.equilibrium must be false with motor.shaft = driven, whose '
-                             'shaft may move at t = 0')
-    for name, value in values.items():
-        if name.startswith('initial.') and ('velocity' in name or 'modal' in name) and value:
-            raise ParameterError(f'{name} must not be given with initial.equilibrium = true, got '
-                                 f'{short(value)}')
-
-
 def modal_count(values: Mapping[str, Any]) -> int:
     """Return the number of modal coordinates, axial ones included."""
     return (values['model.modes'] + values['model.axial_modes']
@@ -595,30 +572,39 @@ def check_gear(values: Mapping[str, Any]) -> None:
                                  f'got {values[name]}')
 
 
-def check_push(values: Mapping[str, Any]) -> None:
-    """Raise ParameterError if loads lack what they need, or a push is not on the arm."""
+def check_together(values: Mapping[str, Any]) -> None:
+    """Raise ParameterError if values of different parameters do not fit together."""
+    held, shaft, formulation = (
+        values[name] for name in ('carrier.held', 'motor.shaft', 'model.formulation'))
+    for name, rule, other, forbidden in (
+            ('initial.shaft_velocity', '0', 'motor.shaft', shaft == 'locked'),
+            ('initial.carrier_x_velocity', '0', 'carrier.held', held in ('x', 'both')),
+            ('initial.carrier_y_velocity', '0', 'carrier.held', held in ('y', 'both')),
+            ('initial.equilibrium', 'false', 'motor.shaft', shaft == 'driven'),
+            *((name, 'empty or 0', 'initial.equilibrium', values['initial.equilibrium'])
+              for name in (*_VELOCITY, 'initial.modal_coordinates', 'initial.modal_rates')),
+            ('model.axial_modes', '0', 'model.formulation', formulation != 'exact'),
+            ('payload.time', 'empty', 'model.formulation', formulation == 'newton_root_stress'),
+            ('push.position', '0', 'model.formulation', formulation == 'newton_root_stress')):
+        if forbidden and values[name]:
+            raise ParameterError(f'{name} must be {rule} with {other} = {values[other]}, got '
+                                 f'{short(values[name])}')
+    if len(values['gravity']) != 2:
+        raise ParameterError(f'gravity must have 2 elements, got {len(values["gravity"])}')
+    if values['push.position'] > values['arm.length']:
+        raise ParameterError('push.position must be at most arm.length = '
+                             f'{values["arm.length"]:g} m, got {values["push.position"]:g}')
     for each in INPUTS:
         if each.needs and each.prescribed and not values[each.needs]:
-            given = [name for name in _TERM_NAMES[each.name] if values[name]]
-            if given:
-                raise ParameterError(f'{given[0]} needs {each.needs} > 0, got '
-                                     f'{values[each.needs]:g}')
-    place = values['push.position']
-    if place > values['arm.length']:
-        raise ParameterError(f'push.position must be at most arm.length = '
-                             f'{values["arm.length"]:g} m, got {place:g}')
-    if place and values['model.formulation'] == 'newton_root_stress':
-        raise ParameterError('push.position must be 0 with model.formulation = '
-                             f'newton_root_stress, got {place:g}')
+            for name in _TERM_NAMES[each.name]:
+                if values[name]:
+                    raise ParameterError(f'{name} needs {each.needs} > 0, got 0')
 
 
 def check_counts(values: Mapping[str, Any]) -> None:
-    """Raise ParameterError if axial modes, or lengths of lists by mode, do not fit the model."""
+    """Raise ParameterError if lengths of lists by mode do not fit the model."""
     modes, axial = modal_count(values), values['model.axial_modes']
     elastic = values['motor.gear.stiffness'] > 0.0
-    if axial and values['model.formulation'] != 'exact':
-        raise ParameterError('model.axial_modes must be 0 with model.formulation = '
-                             f'{values["model.formulation"]}, got {axial}')
     if values['model.accuracy'] > 0.0:
         modes = 0  # chosen later, so that lists with an element for each mode cannot be given
     for name, allowed in (('arm.damping_ratio', (0, 1, max(modes - elastic, 0))),
@@ -695,10 +681,6 @@ def find_implausible(values: Mapping[str, Any]) -> str | None:
     return 'is this meant? ' + '; '.join(found) if found else None
 
 
-_POSITION = [f'initial.{joint}' for joint in ('carrier_x', 'carrier_y', 'shaft')]
-_VELOCITY = [f'{name}_velocity' for name in _POSITION]
-
-
 INITIAL = 'initial'  # stands for the whole initial state
 # Parameters that no derivative or fit can vary begin with these.
 _FIXED = 'model.', 'integrator.', 'sensor.', 'payload.time', 'motor.drive'
@@ -746,7 +728,7 @@ def _split_index(name):
 def initial_names(scene: Scene) -> list[str]:
     """Return the names of all numbers of the initial state that are not prescribed."""
     still = scene.build().constrained
-    joints = [joint for joint, held in zip(('carrier_x', 'carrier_y', 'shaft'), still) if not held]
+    joints = [joint for joint, held in zip(_JOINTS, still) if not held]
     modes = range(scene.modal_count)
     return [*(f'initial.{joint}' for joint in joints),
             *(f'initial.{joint}_velocity' for joint in joints),
