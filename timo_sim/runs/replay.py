@@ -192,25 +192,35 @@ def segments_of(recording: Recording, scene: Scene, values: Mapping[str, Any], s
     shift = 0 if recording.facts or motions else round(1e9 * _START.check(start)) - min(
         int(series.ns[0]) for _, series in commands if len(series.ns))  # of stamps [ns]
 
-    def steps(series, must_fit):
-        if recording.facts:
-            exact = series.step * (recording.scene.step / scene.step)
-        else:
-            exact = 1e-9 * (series.ns + shift) / scene.step
-        return _to_steps(exact, must_fit, scene.step, series.topic)
+    # Steps of a recording in steps of the scene.
+    ratio = recording.scene.step / scene.step if recording.facts else math.nan
+
+    def steps(series):
+        return series.step * ratio if recording.facts else 1e-9 * (series.ns + shift) / scene.step
+
+    def steps_that_fit(series):
+        exact = steps(series)
+        whole = _round_up(exact)
+        missed = np.abs(whole - exact) > 1e-6
+        if missed.any():
+            raise ParameterError(
+                f'integrator.step = {scene.step:g} s does not meet the times of {series.topic}, '
+                f'such as {exact[np.argmax(missed)] * scene.step:.9g} s: take one that divides '
+                'them')
+        return whole
 
     # The motion in a plain bag is not compared, because it is not known exactly when its commands
     # began to act.
     own = motions if recording.facts else {}
     # Of each topic of commands: its index in COMMANDS, its series, the steps of its messages.
-    commanding = [(number, series, steps(series, False)) for number, series in commands]
-    published = {name: steps(series, True) for name, series in own.items()}
+    commanding = [(number, series, _round_up(steps(series))) for number, series in commands]
+    published = {name: steps_that_fit(series) for name, series in own.items()}
     delays = _delays_in_steps(known, recording.scene, scene.step) if own else {}
     last = _last_step(commanding, {name: at + delays[name] for name, at in published.items()},
                       motions, shift, scene, duration)
     ends = [last]
     if recording.facts:
-        ends = [*_steps_of(recording.resets, recording, scene).tolist(), last]
+        ends = [*_round_up(np.array(recording.resets) * ratio).tolist(), last]
     elif 'joint_states' in motions:
         _refuse_reset(recording, motions['joint_states'], scene)
     unlogged = {'/clock', *(name for name, output in known.items()
@@ -226,7 +236,7 @@ def segments_of(recording: Recording, scene: Scene, values: Mapping[str, Any], s
         inside = [(int(at[k]), kind, series.values[k], series.data[k])
                   for kind, series, at in commanding
                   for k in np.flatnonzero((series.resets == number) & (at < end))]
-        changes = [(int(_steps_of(step, recording, scene)), values)
+        changes = [(int(_round_up(step * ratio)), values)
                    for count, (step, _, values) in zip(changed, recording.changes)
                    if count == number]
         until = {name: end - steps for name, steps in late.items()}
@@ -284,27 +294,16 @@ def _refuse_reset(recording, joints, scene):
                        f'record {recording.name}/scene, too')
 
 
-def _steps_of(steps, recording, scene):
-    """Return steps of a recording in steps of a scene, rounded up."""
-    ratio = recording.scene.step / scene.step
-    return np.ceil(np.asarray(steps) * ratio - _ROUNDING).astype(int)
-
-
 def _delays_in_steps(known, scene, step):
     """Return how many whole steps the messages of each topic come after their measurement."""
     return {name: math.floor(scene.values[output.delay] / step + 1e-6) if output.delay else 0
             for name, output in known.items()}
 
 
-def _to_steps(exact, must_fit, step, topic):
-    """Return times in steps, rounded up; raise ParameterError if they must fit and do not."""
-    whole = np.ceil(exact - _ROUNDING * np.maximum(1.0, np.abs(exact))).astype(np.int64)
-    missed = np.abs(whole - exact) > 1e-6
-    if must_fit and missed.any():
-        raise ParameterError(
-            f'integrator.step = {step:g} s does not meet the times of {topic}, such as '
-            f'{exact[np.argmax(missed)] * step:.9g} s: take one that divides them')
-    return np.maximum(whole, 0)
+def _round_up(exact):
+    """Return steps as whole numbers, not below 0, but for their rounding errors."""
+    whole = np.ceil(exact - _ROUNDING * np.maximum(1.0, np.abs(exact)))
+    return np.maximum(whole, 0.0).astype(np.int64)
 
 
 def _last_step(commanding, published, motions, shift, scene, duration):

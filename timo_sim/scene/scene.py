@@ -643,34 +643,31 @@ def find_implausible(values: Mapping[str, Any]) -> str | None:
     """Return a warning about implausible values, which marks those that are defaults, or None."""
     each = partial(_each, values)
 
-    def with_value(name, unit):
+    def shown(name):
         default = ' (the default)' * (values[name] == PARAMETERS[name].default)
-        return f'{name} = {values[name]:g} {unit}{default}'
+        return f'{name} = {values[name]:g} {PARAMETERS[name].unit}{default}'
 
     found = []
     for name, (low, high, unit) in _PLAUSIBLE.items():
         found += [f'arm.{name} = {value:g} {unit} is outside the range of real solids'
                   for value in each(name) if not low <= value <= high][:1]
     height = max(each('height'))
-    shear, young = each('shear_modulus'), each('young_modulus')
-    count = max(len(shear), len(young))  # a single value is that of all positions
-    found += [f'arm.shear_modulus = {stiff:g} Pa is above arm.young_modulus = {soft:g} Pa'
-              for stiff, soft in zip(shear * (count // len(shear)), young * (count // len(young)))
-              if stiff > soft][:1]
+    moduli = np.column_stack(np.broadcast_arrays(each('shear_modulus'), each('young_modulus')))
+    found += [f'arm.shear_modulus = {shear:g} Pa is above arm.young_modulus = {young:g} Pa'
+              for shear, young in moduli if shear > young][:1]
     longest = max(values['arm.length'], values['hub.radius'], *each('width'), height)
     if longest > _MAX_LENGTH:
         found.append(f'a length of {longest:g} m is more than {_MAX_LENGTH:g} m: lengths are in '
                      'metres, not in millimetres')
     if values['arm.section.shape'] in ('round', 'tube') and values['arm.section.width'] != (
             PARAMETERS['arm.section.width'].default):
-        found.append(f'{with_value("arm.section.width", "m")} is not used: the diameter is '
-                     f'{with_value("arm.section.height", "m")}')
+        found.append(f'{shown("arm.section.width")} is not used: the diameter is '
+                     f'{shown("arm.section.height")}')
     mass, inertia = values['end_effector.mass'], values['end_effector.inertia']
     if inertia > mass * (0.5 * values['arm.length'])**2 and (mass or inertia == PARAMETERS[
             'end_effector.inertia'].default):
-        found.append(f'{with_value("end_effector.inertia", "kg m2")} is that of '
-                     f'{with_value("end_effector.mass", "kg")} at more than half of '
-                     f'{with_value("arm.length", "m")} from its centre')
+        found.append(f'{shown("end_effector.inertia")} is that of {shown("end_effector.mass")} '
+                     f'at more than half of {shown("arm.length")} from its centre')
     if values['arm.length'] < _MIN_SLENDERNESS * height:
         found.append(f'arm.length = {values["arm.length"]:g} m is less than '
                      f'{_MIN_SLENDERNESS:g} times arm.section.height = {height:g} m')
