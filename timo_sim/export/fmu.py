@@ -13,6 +13,7 @@ import platform
 import re
 from tempfile import TemporaryDirectory
 from typing import NamedTuple
+from uuid import UUID
 from xml.etree import ElementTree
 from zipfile import ZIP_DEFLATED, ZipFile, ZipInfo
 
@@ -108,7 +109,9 @@ def export_fmu(scene: SceneLike, path: Path | str, version: int = 3, estimate: b
                   for file in ('fmi.h', f'fmi{version}.c')}
         token = _token(describe(''), *files.values())
         files['token.h'] = f'#define TOKEN "{token}"\n'.encode()
-        binary = _link(folder, files, version)
+        for name, content in files.items():
+            Path(folder, name).write_bytes(content)
+        binary = link(folder, [f'fmi{version}.c', f'{_NAME}.o'], 'fmi*')
     contents = {
         'modelDescription.xml': describe(token),
         f'binaries/{_PLATFORMS[version]}/{_NAME}.so': binary,
@@ -124,18 +127,8 @@ def export_fmu(scene: SceneLike, path: Path | str, version: int = 3, estimate: b
 
 
 def _token(*contents):
-    digest = hashlib.sha256()
-    for content in contents:
-        digest.update(hashlib.sha256(content).digest())
-    return '{' + re.sub('(.{8})(.{4})(.{4})(.{4})(.{12}).*', r'\1-\2-\3-\4-\5',
-                        digest.hexdigest()) + '}'
-
-
-def _link(folder, files, version):
-    """Return the shared library of the sources."""
-    for name, content in files.items():
-        Path(folder, name).write_bytes(content)
-    return link(folder, [f'fmi{version}.c', f'{_NAME}.o'], 'fmi*')
+    digests = (hashlib.sha256(content).digest() for content in contents)
+    return f'{{{UUID(bytes=hashlib.sha256(b"".join(digests)).digest()[:16])}}}'
 
 
 def _variables(interface: Interface) -> list[_Variable]:

@@ -499,18 +499,9 @@ class Library(NamedTuple):
 
 def library(simulators: list[Any], interface: Interface, target: str, name: str) -> Library:
     """
-    Return the object file of a model or, with its finer one, of two.
+    Return the object file of a model or, with its finer one, of two; `simulators` are at the start.
 
-    Parameters
-    ----------
-    simulators : list of Simulator
-        At their start.
-    interface : Interface
-    target : str
-        See `compiled.machine.target_machine`.
-    name : str
-        First part of the names of its functions.
-
+    For `target` see `compiled.machine.target_machine`; names of functions begin with `name`.
     """
     target_machine = machine.target_machine(target)
     models = [_Model(each, number, target, interface)

@@ -7,6 +7,7 @@ Services and action of simulation_interfaces, versions 1.5 (Jazzy) to 2.1.
 What a service cannot do is refused by a result code of the standard and a text.
 """
 
+import asyncio
 from functools import partial
 import math
 from pathlib import Path
@@ -71,13 +72,6 @@ class _RefusalError(Exception):
     def __init__(self, reason, code=Result.RESULT_FEATURE_UNSUPPORTED):
         super().__init__(reason)
         self.code = code
-
-
-class _Turn:
-    """A coroutine awaits this to give the executor's other callbacks their turn."""
-
-    def __await__(self):
-        yield
 
 
 class Interfaces:
@@ -178,7 +172,7 @@ class Interfaces:
                 goal.publish_feedback(SimulateSteps.Feedback(
                     completed_steps=done + 1, remaining_steps=total - done - 1))
                 self._node.executor.wake()
-                await _Turn()
+                await asyncio.sleep(0)  # the executor's other callbacks have their turn
         except StateError as reason:
             goal.abort()
             return SimulateSteps.Result(result=Result(result=_FAILED, error_message=str(reason)))

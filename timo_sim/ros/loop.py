@@ -174,13 +174,13 @@ class Loop:
             for outlet in due:
                 outlet.publish(snapshot)
 
-    def _show_reached(self):
-        """Send the state at which time begins to stand to subscribers, if it was not due."""
+    def _show_reached(self, changed=False):
+        """Send the state to subscribers, where it was not due, or has changed while time stands."""
         step = self.simulator.steps
         # In lock step controllers would answer a state that waits for no command.
         if self.gate.takes_commands(step) and not self.diverged:
-            self._send(outlet for outlet in self._outlets
-                       if outlet.subscribed and step % outlet.every and outlet not in self._late)
+            self._send(outlet for outlet in self._outlets if outlet.subscribed
+                       and (changed or step % outlet.every) and outlet not in self._late)
 
     def _send(self, outlets):
         """Publish the present state, to subscribers alone."""
@@ -238,9 +238,7 @@ class Loop:
         carrier = [*(position or now.joint_positions[:2]), *(velocity or now.joint_velocities[:2])]
         self.simulator.set_carrier(carrier)
         self.check_subscribers()
-        if self.gate.takes_commands(self.simulator.steps):
-            self._send(outlet for outlet in self._outlets
-                       if outlet.subscribed and outlet not in self._late)
+        self._show_reached(changed=True)
         return carrier
 
     def step(self, count: int, stop: Any) -> str:

@@ -20,7 +20,7 @@ from timo_sim.log.write import (
 from timo_sim.ros.diagnostics import Health
 from timo_sim.ros.loop import Loop, StateError, sync_steps
 from timo_sim.ros.parameters import ParameterNode, steps_between_messages
-from timo_sim.ros.topics import Commands, LateOutlet, Latched, MotionOutlet, RunLog
+from timo_sim.ros.topics import Commands, LateOutlet, MotionOutlet, Outlet, RunLog
 from timo_sim.runs.simulate import resolve
 from timo_sim.scene.parameters import (
     frame_names, LATEST, ParameterError, PARAMETERS, SCENE)
@@ -91,8 +91,8 @@ class SimNode(ParameterNode):
             if self._live.warning:
                 self.get_logger().warning(self._live.warning)
         self._loop.configure(values, steps_each)
-        self._description = Latched(self, DESCRIPTION, TEXT, values['publish_tf'])
-        self._scene_topic = Latched(self, '~/scene', TEXT)
+        self._description = Outlet(self, DESCRIPTION, TEXT, values['publish_tf'], latched=True)
+        self._scene_topic = Outlet(self, '~/scene', TEXT, latched=True)
 
     @property
     def subscriptions(self) -> Iterator[Subscription]:
@@ -100,21 +100,20 @@ class SimNode(ParameterNode):
         return (entry for entry in super().subscriptions if not entry.raw)
 
     def _make_outlets(self, scene):
-        outlets = [self._make_outlet(output) for output in scene.outputs
-                   if output.name != '/clock' or self._values['publish_clock']]
+        outlets = []
+        for output in scene.outputs:
+            if output.name == '/clock' and not self._values['publish_clock']:
+                continue
+            delay = output.delay and round(self._values[output.delay] / self._step)
+            outlets.append(LateOutlet(self, output, self.frames, delay) if delay else
+                           MotionOutlet(self, output, self.frames))
+            outlets[-1].always_logged = not output.delay or self._values['record_sensors']
         try:
             outlets.append(MotionOutlet(self, TRANSFORMS, self.frames, self._values['publish_tf']))
         except ModuleNotFoundError as error:
             raise ParameterError(f'publish_tf needs {error.name}, which is not installed: apt-get '
                                  'install ros-$ROS_DISTRO-tf2-msgs') from None
         return outlets
-
-    def _make_outlet(self, output):
-        delay = output.delay and round(self._values[output.delay] / self._step)
-        outlet = LateOutlet(self, output, self.frames, delay) if delay else MotionOutlet(
-            self, output, self.frames)
-        outlet.always_logged = not output.delay or self._values['record_sensors']
-        return outlet
 
     def _offer_services(self):
         for kind, name, operation in (

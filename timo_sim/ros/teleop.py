@@ -6,10 +6,12 @@
 from contextlib import contextmanager, suppress
 import math
 import os
+import select
 import shutil
 import signal
 import termios
 import time
+import tty
 
 from geometry_msgs.msg import Vector3, Vector3Stamped, Wrench, WrenchStamped
 import rclpy
@@ -40,12 +42,9 @@ _LATEST = QoSProfile(depth=1, reliability=ReliabilityPolicy.BEST_EFFORT)
 @contextmanager
 def _keys_at_once():
     """Make the terminal pass on each key at once, even Ctrl-C and Ctrl-Z; restore it after."""
-    before, changed = termios.tcgetattr(0), termios.tcgetattr(0)
-    changed[0] &= ~termios.IXON
-    changed[3] &= ~(termios.ECHO | termios.ICANON | termios.ISIG)
-    changed[6][termios.VMIN] = changed[6][termios.VTIME] = 0  # do not wait for a key
+    before = termios.tcgetattr(0)
     try:
-        termios.tcsetattr(0, termios.TCSADRAIN, changed)
+        tty.setraw(0, termios.TCSADRAIN)
         yield
     finally:
         with suppress(termios.error):  # the terminal is gone
@@ -79,8 +78,9 @@ class _Teleop:
             while not self.ends:
                 self._executor.spin_once(timeout_sec=_PERIOD)
                 now = time.monotonic()
-                for key in os.read(0, 64).decode('latin-1'):
-                    self._press(key, now)
+                if select.select([0], [], [], 0.0)[0]:
+                    for key in os.read(0, 64).decode('latin-1'):
+                        self._press(key, now)
                 if now >= due:
                     due = now + _PERIOD
                     self._send([push if now < until else 0.0

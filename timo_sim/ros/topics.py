@@ -46,22 +46,22 @@ class Outlet:
     A publisher that also hands its messages to the log, and knows whether anybody wants them.
 
     They go to the `channel` with an `index` of a `recorder`, once there is one; with
-    `always_logged` also those that nobody receives. Unless it `publishes`, it only logs.
+    `always_logged` also those that nobody receives. Unless it `publishes`, it only logs. If it is
+    `latched`, who subscribes later receives the last messages.
     """
 
     always_logged = True
-    durability = DurabilityPolicy.VOLATILE
 
-    def __init__(self, node, topic, type_name, publishes=True):
-        self.subscribed, self._joined = False, -math.inf
+    def __init__(self, node, topic, type_name, publishes=True, latched=False):
+        self.subscribed, self._joined, self._latched = False, -math.inf, latched
         self.recorder, self.index = None, None
         self._publisher: Publisher | None = None
+        durability = DurabilityPolicy.TRANSIENT_LOCAL if latched else DurabilityPolicy.VOLATILE
         self.channel = Channel(node.resolve_topic_name(topic), type_name, topic,
-                               durability=self.durability.name.lower())
+                               durability=durability.name.lower())
         if publishes:
             self._publisher = node.create_publisher(
-                message_class(type_name), topic,
-                QoSProfile(depth=DEPTH, durability=self.durability),
+                message_class(type_name), topic, QoSProfile(depth=DEPTH, durability=durability),
                 event_callbacks=PublisherEventCallbacks(matched=self._matched))
             self.channel = channel_of(self._publisher, type_name, topic)
 
@@ -76,7 +76,8 @@ class Outlet:
 
     def check_subscribers(self) -> None:
         """Ask the middleware whether anybody subscribes; this is also done at every change."""
-        self.subscribed = bool(self._publisher and self._publisher.get_subscription_count())
+        self.subscribed = self._publisher is not None and (
+            self._latched or self._publisher.get_subscription_count() > 0)
 
     @property
     def wanted(self) -> bool:
@@ -90,16 +91,6 @@ class Outlet:
             self._publisher.publish(data)
         if self.recorder is not None and not again:
             self.recorder.write(self.index, step, nanoseconds, data)
-
-
-class Latched(Outlet):
-    """The outlet of texts, of which who subscribes later receives the last ones."""
-
-    durability = DurabilityPolicy.TRANSIENT_LOCAL
-
-    def check_subscribers(self) -> None:
-        """Let each message be published."""
-        self.subscribed = self._publisher is not None
 
 
 class MotionOutlet(Outlet):

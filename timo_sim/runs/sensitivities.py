@@ -32,14 +32,8 @@ class Sensitivities:
     """
     Derivatives of an output by p inputs, see `sensitivities`.
 
-    Attributes
-    ----------
-    inputs : tuple of str
-    t, values : ndarray, shapes (samples,), (samples, ...)
-        Times of the output [s], and the output.
-    jacobian, error : ndarray, shape (samples, ..., p)
-        Its derivatives, and an estimate of their error.
-
+    `values`, (samples, ...), is the output at times `t`, (samples,) [s]; `jacobian` and `error`,
+    (samples, ..., p), are its derivatives by the `inputs`, and an estimate of their error.
     """
 
     inputs: tuple[str, ...]

@@ -20,13 +20,8 @@ class StepDerivatives(NamedTuple):
     """
     Derivatives of the motion after some steps, see `Simulator.step_derivatives`.
 
-    Attributes
-    ----------
-    by_motion : ndarray, shape (2 (3 + N), 2 (3 + N))
-        [i, j]: of number i of the motion after the steps by number j of that before them.
-    by_input : ndarray, shape (2 (3 + N), k)
-        By the inputs, each constant during the steps.
-
+    `by_motion`[i, j], (2 (3 + N), 2 (3 + N)), is that of its number i by number j of the motion
+    before them, `by_input`, (2 (3 + N), k), are by the inputs, each constant during the steps.
     """
 
     by_motion: np.ndarray

@@ -21,6 +21,7 @@ import numpy as np
 from timo_sim.model.formulation import Formulation
 from timo_sim.model.layout import rotate
 from timo_sim.model.modes import axial_modes
+from timo_sim.scene.loads import on_boundaries
 from timo_sim.scene.scene import Scene, scene_from
 from timo_sim.simulation.warnings import unseen_load
 
@@ -64,20 +65,14 @@ def refine(scene: Scene, parts: int, modes: int | None = None, axial: int = MORE
         further = [1.0]
     lists['arm.damping_ratio'] = [*across, *modes * across[-1:], *along, *axial * further]
     lists['arm.damping_of'] = 'clamped'
-    lists.update((name, _on_boundaries(value, scene.step)) for name, value in values.items()
-                 if name.endswith('.time'))
+    # What counts as a boundary between two steps is one between two finer steps, too.
+    lists.update((name, tuple(on_boundaries(value, scene.step).tolist()))
+                 for name, value in values.items() if name.endswith('.time'))
     equations = {} if same_equations else {'model.formulation': 'exact',
                                            'model.static_modes': 'none'}
     return scene_from({**values, **lists, **equations, 'model.accuracy': 0.0,
                        'model.modes': bending + modes, 'model.axial_modes': stretching + axial,
                        'integrator.step': scene.step / parts})
-
-
-def _on_boundaries(times, step):
-    # What counts as a boundary between two steps is one between two finer steps, too.
-    nearest = [round(time / step) for time in times]
-    return tuple(number * step if abs(time / step - number) <= 1e-6 else time
-                 for time, number in zip(times, nearest))
 
 
 def can_refine(scene: Scene) -> bool:

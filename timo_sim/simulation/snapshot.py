@@ -190,7 +190,8 @@ def reading(values: Mapping[str, Any], name: str, number: int, step: int,
     for axis, quantity in enumerate(quantities):
         quantity += bias
         if noise:
-            quantity += noise * _random(values['sensor.seed'], number, axis, step)
+            block = _block(values['sensor.seed'], number, axis, step // _BLOCK)
+            quantity += noise * block[step % _BLOCK]
         if resolution and abs(quantity) < _EXACT * resolution:
             quantity = resolution * round(quantity / resolution)
         result.append(quantity)
@@ -201,11 +202,6 @@ def variance(values: Mapping[str, Any], name: str) -> float:
     """Return the variance of a sensor's reading, with a uniform error of rounding."""
     noise, resolution = (values[f'sensor.{name}.{kind}'] for kind in ('noise', 'resolution'))
     return noise**2 + resolution**2 / 12.0
-
-
-def _random(seed, sensor, axis, step):
-    block, place = divmod(step, _BLOCK)
-    return _block(seed, sensor, axis, block)[place]
 
 
 @lru_cache(maxsize=16)

@@ -26,11 +26,7 @@ class DivergenceError(ArithmeticError):
     """
     The state is not finite, or the arm is bent by many lengths; the text has time and remedy.
 
-    Attributes
-    ----------
-    run : Run or None
-        The run so far, if `simulate` has raised the error.
-
+    `run` is the Run so far, if `simulate` has raised the error, else None.
     """
 
     run: Any = None
