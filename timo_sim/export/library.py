@@ -16,7 +16,7 @@ import numpy as np
 
 from timo_sim.compiled import machine
 from timo_sim.compiled.constants import pack, Packed
-from timo_sim.compiled.functions import WIDTH
+from timo_sim.compiled.functions import Constants, WIDTH
 from timo_sim.export.constants import Interface, plant_of
 from timo_sim.model.functions import tips
 from timo_sim.model.layout import LOADS, STEP_LOADS
@@ -52,14 +52,12 @@ class _Model:
         self.number, self._target = number, target
         self.modules, self._functions = [], {}
         scene, model = simulator.scene, simulator.model
-        sectors = range(model.sectors) if model.sectors else [None]
-        parts = [simulator.integration.part(sector).constants for sector in sectors]
-        self.parts = len(parts)
+        # Tables and propagators of each linear part.
+        self.parts = [*zip(*(simulator.integration.part(sector).constants for sector in (
+            range(model.sectors) if model.sectors else [None])))]
         self.plant, self.loads = plant_of(simulator), pack(scene.load.rows(scene.step))
-        self.actuators = Actuators(scene.values).packed
-        # In memory actuators follow the instance.
+        self.tables, self.actuators = model.packed, Actuators(scene.values).packed
         self.joints = getattr(simulator.integration, 'joints', None)
-        self.own = model.packed
         # What steps are differentiated by, if they are.
         unit = unit_loads_of(scene.values, [each.column for each in interface.inputs])
         self.inputs = None if why_not_differentiable(scene) else inputs_of(unit, model.size)
@@ -69,12 +67,10 @@ class _Model:
             *2 * [np.zeros(len(model.linear))], np.zeros((1, STEP_LOADS, LOADS)),
             np.zeros(WIDTH), *2 * [np.zeros(model.size)], *2 * [np.zeros(3)],
             np.zeros(outputs)]))
-        self.tables, self.propagator = (
-            [each[k] for each in parts] for k in range(2))
 
     @property
     def length(self):
-        """Length of an instance in memory [B]."""
+        """Length of an instance in memory, which its actuators follow [B]."""
         return self.instance.length + self.actuators.length
 
     @property
@@ -156,8 +152,18 @@ class _Body:
     def read_mark(self, instance, number):
         return self.builder.load(self.mark(instance, number), typ=_WORD)
 
-    def call(self, model, entry, constants, *arguments):
-        """Call an entry point of a model; `constants` are pairs of constants and their place."""
+    def constants(self, model, instance, name):
+        """Return constants of a model and an instance by name, and their place."""
+        if name == 'instance':
+            return model.instance, instance
+        packed = getattr(model, name)
+        return packed, (self.at(instance, model.instance.length) if name == 'actuators' else
+                        self.data(packed))
+
+    def call(self, model, instance, entry, *arguments, **others):
+        """Call an entry point with the constants of a model and an instance, or with `others`."""
+        constants = [others.get(name) or self.constants(model, instance, name)
+                     for name, kind in entry.arguments.items() if isinstance(kind, Constants)]
         name = model.specialise(entry, *(each for each, _ in constants))
         values = [*(place for _, place in constants), *arguments]
         if name not in self.module.globals:
@@ -179,17 +185,12 @@ class _Body:
 
     # What each model does.
 
-    def own(self, model, instance):
-        return model.instance, instance
-
-    def actuators(self, model, instance):
-        return model.actuators, self.at(instance, model.instance.length)
-
     def constants_of_step(self, model, instance):
-        """Return tables and propagator of the linear part of now, each with its place."""
-        builder, constants = self.builder, [*zip((model.tables, model.propagator), range(2))]
-        places = [self.data(*packed) for packed, _ in constants]
-        if model.parts > 1:
+        """Return tables and propagator of the linear part of now, by name, each with its place."""
+        builder, first_parts = self.builder, [each[0] for each in model.parts]
+        lengths, count = [self.word(each.length) for each in first_parts], len(model.parts[0])
+        places = [self.data(*packed) for packed in model.parts]
+        if count > 1:
             part = self.read_mark(instance, PART)
             first, tries = builder.block, builder.append_basic_block()
             builder.branch(tries)
@@ -197,54 +198,43 @@ class _Body:
             number, tried = builder.phi(_WORD), builder.phi(_WORD)
             number.add_incoming(part, first)
             tried.add_incoming(self.word(1), first)
-            tables = self.at(places[0], builder.mul(number, self.word(model.tables[0].length)))
-            good = self.call(model, steps.is_valid, [
-                (model.tables[0], tables), self.own(model, instance)])
-            following = builder.urem(builder.add(number, self.word(1)), self.word(model.parts))
+            tables = self.at(places[0], builder.mul(number, lengths[0]))
+            good = self.call(model, instance, steps.is_valid, tables=(first_parts[0], tables))
+            following = builder.urem(builder.add(number, self.word(1)), self.word(count))
             number.add_incoming(following, builder.block)
             tried.add_incoming(builder.add(tried, self.word(1)), builder.block)
             found = builder.append_basic_block()
-            more = builder.icmp_signed('<', tried, self.word(model.parts))
+            more = builder.icmp_signed('<', tried, self.word(count))
             builder.cbranch(builder.and_(self.equal(good, 0), more), tries, found)
             builder.position_at_end(found)
             builder.store(number, self.mark(instance, PART))
-            places = [tables, self.at(places[1], builder.mul(
-                number, self.word(model.propagator[0].length)))]
-        return [(packed[0], place) for (packed, _), place in zip(constants, places)]
+            places = [tables, self.at(places[1], builder.mul(number, lengths[1]))]
+        return dict(zip(('tables', 'propagator'), zip(first_parts, places)))
 
     def advance(self, model, instance, count, every):
-        fields = {name: self.field(model, instance, name) for name in (
-            'state', 'load', 'loads', 'motion', 'friction', 'heat')}
-        if model.joints:
-            return self.call(
-                model, friction.advance, [*self.constants_of_step(model, instance),
-                                          (model.joints, self.data(model.joints))],
-                *(fields[name] for name in ('friction', 'state', 'load', 'loads')),
-                self.word(count), self.word(every), self.word(0), fields['motion'],
-                fields['heat'])
+        memory, heat, motion, *given = (self.field(model, instance, name) for name in (
+            'friction', 'heat', 'motion', 'state', 'load', 'loads'))
+        given += [self.word(number) for number in (count, every, 0)]
+        constants = self.constants_of_step(model, instance)
+        if not model.joints:
+            return self.call(model, instance, advance, *given, motion, **constants)
         return self.call(
-            model, advance, self.constants_of_step(model, instance), fields['state'],
-            fields['load'], fields['loads'], self.word(count), self.word(every), self.word(0),
-            fields['motion'])
+            model, instance, friction.advance, memory, *given, motion, heat, **constants)
 
     def step_of(self, model):
         """Define the function that does one step of a model under commands."""
         instance, inputs = self.function(f'step.{model.number}', _WORD, _POINTER, _POINTER)
-        own = self.own(model, instance)
-        self.call(model, steps.prepare, [
-            (model.loads, self.data(model.loads)), self.actuators(model, instance), own], inputs)
+        self.call(model, instance, steps.prepare, inputs)
         done = self.advance(model, instance, 1, 0)
-        self.builder.ret(self.call(
-            model, steps.finish, [(model.plant, self.data(model.plant)), own], done))
+        self.builder.ret(self.call(model, instance, steps.finish, done))
 
     def observe_of(self, model):
         """Define the function that writes a model's motion and the place of its tip."""
         instance, = self.function(f'observe.{model.number}', _WORD, _POINTER)
         self.advance(model, instance, 0, 1)
-        self.call(model, tips, [(model.tables[0], self.data(*model.tables))],
-                  self.field(model, instance, 'motion'), self.word(1),
+        self.call(model, instance, tips, self.field(model, instance, 'motion'), self.word(1),
                   self.field(model, instance, 'tip'))
-        self.builder.ret(self.call(model, steps.set_place, [self.own(model, instance)]))
+        self.builder.ret(self.call(model, instance, steps.set_place))
 
     def follow(self):
         """Define the function that advances the finer run and compares the tips."""
@@ -256,26 +246,24 @@ class _Body:
             code = builder.call(self.module.globals['step.1'],
                                 [other, self.field(own, instance, 'inputs')])
             with builder.if_then(builder.not_(self.equal(code, 0))):
-                self.call(own, steps.lose, [self.own(own, instance)])
+                self.call(own, instance, steps.lose)
                 builder.ret(self.word(0))
         builder.call(self.module.globals['observe.0'], [instance])
         builder.call(self.module.globals['observe.1'], [other])
-        builder.ret(self.call(own, steps.compare, [self.own(own, instance)],
-                              self.field(finer, other, 'place')))
+        builder.ret(self.call(own, instance, steps.compare, self.field(finer, other, 'place')))
 
     def refresh(self):
         """Define the function that computes outputs up to a stage of KNOWN, if they are not."""
         own = self.models[0]
         instance, stage = self.function('refresh', _WORD, _POINTER, _WORD)
         builder, known = self.builder, self.read_mark(instance, KNOWN)
-        rest = [(own.plant, self.data(own.plant)), self.own(own, instance)]
         self.return_if(builder.icmp_signed('>=', known, stage), self.word(0))
         with builder.if_then(self.equal(known, 0)):
             builder.call(self.module.globals['observe.0'], [instance])
-            self.call(own, steps.set_outputs, rest)
+            self.call(own, instance, steps.set_outputs)
         with builder.if_then(self.equal(stage, 2)):
-            self.call(own, steps.set_rates, [(own.own, self.data(own.own)), *rest])
-            self.call(own, steps.set_forces, [(own.own, self.data(own.own)), *rest])
+            self.call(own, instance, steps.set_rates)
+            self.call(own, instance, steps.set_forces)
         builder.ret(self.word(0))
 
     # The functions of the interface.
@@ -317,9 +305,7 @@ class _Body:
 
     def reset_all(self, instance):
         for model, each in self.each(instance):
-            self.call(model, steps.reset, [
-                (model.plant, self.data(model.plant)), self.actuators(model, each),
-                self.own(model, each)])
+            self.call(model, each, steps.reset)
         self.finish()
 
     def copy_constants(self, instance):
@@ -350,7 +336,7 @@ class _Body:
         for entry, kind in ((steps.set_input, _REAL), (steps.get_input, _POINTER)):
             instance, number, value = self.public(entry.__name__, _INT, kind)
             self.fail_unless_below(number, len(columns))
-            self.finish(self.call(own, entry, [self.own(own, instance)],
+            self.finish(self.call(own, instance, entry,
                                   self.element('columns', _WORD, columns, number), value))
 
     def parameters(self):
@@ -359,17 +345,15 @@ class _Body:
         self.fail_unless_below(number, len(limits))
         of_rate, begin, end = self.columns_of_limit(number)
         for model, each in self.each(instance):
-            code = self.call(model, steps.set_parameter, [
-                self.actuators(model, each), self.own(model, each)], of_rate, begin, end, value)
+            code = self.call(model, each, steps.set_parameter, of_rate, begin, end, value)
             with self.builder.if_then(self.builder.not_(self.equal(code, 0))):
                 self.finish(code)
         self.finish()
         instance, number, value = self.public('get_parameter', _INT, _POINTER)
         self.fail_unless_below(number, len(limits))
         of_rate, begin, _ = self.columns_of_limit(number)
-        own = self.models[0]
-        self.finish(self.call(own, steps.get_parameter, [self.actuators(own, instance)], of_rate,
-                              begin, value))
+        self.finish(self.call(self.models[0], instance, steps.get_parameter, of_rate, begin,
+                              value))
 
     def columns_of_limit(self, number):
         """Return whether a parameter limits rates, its first column and the one after its last."""
@@ -407,17 +391,14 @@ class _Body:
             return
         instance, values = self.public('step_derivatives', _POINTER)
         # The step is not done, so its commands begin no lines: actuators are as before.
-        _, actuators = self.actuators(own, instance)
+        _, actuators = self.constants(own, instance, 'actuators')
         kept = self.builder.alloca(_WORD, self.word(own.actuators.length // 8))
         self.copy(actuators, own.actuators.length, kept)
-        self.call(own, steps.prepare, [
-            (own.loads, self.data(own.loads)), (own.actuators, actuators),
-            self.own(own, instance)], self.field(own, instance, 'inputs'))
+        self.call(own, instance, steps.prepare, self.field(own, instance, 'inputs'))
         self.copy(kept, own.actuators.length, actuators)
-        self.call(own, differentiate, [
-            *self.constants_of_step(own, instance), (own.inputs, self.data(own.inputs))],
-            *(self.field(own, instance, name) for name in ('state', 'load', 'loads')),
-            self.word(1), values)
+        self.call(own, instance, differentiate,
+                  *(self.field(own, instance, name) for name in ('state', 'load', 'loads')),
+                  self.word(1), values, **self.constants_of_step(own, instance))
         self.finish()
 
     def outputs(self):
@@ -429,27 +410,24 @@ class _Body:
             ir.Constant(_INT, steps.MODAL - steps.FORCES))
         self.builder.call(self.module.globals['refresh'], [
             instance, self.builder.select(needs_forces, self.word(2), self.word(1))])
-        self.finish(self.call(own, steps.get_output, [self.own(own, instance)],
+        self.finish(self.call(own, instance, steps.get_output,
                               self.builder.zext(number, _WORD), value))
         instance, values = self.public('get_outputs', _POINTER)
         self.builder.call(self.module.globals['refresh'], [instance, self.word(2)])
-        self.finish(self.call(own, steps.get_outputs, [self.own(own, instance)],
-                              self.word(count), values))
+        self.finish(self.call(own, instance, steps.get_outputs, self.word(count), values))
 
     def states(self):
         instance, values = self.public('get_state', _POINTER)
         for model, each, place in self.each_state(instance, values):
-            self.call(model, steps.get_state, [
-                self.actuators(model, each), self.own(model, each)], place)
+            self.call(model, each, steps.get_state, place)
         self.finish()
         instance, values = self.public('set_state', _POINTER)
         for model, each, place in self.each_state(instance, values):
-            code = self.call(model, steps.check_state, [self.own(model, each)], place)
+            code = self.call(model, each, steps.check_state, place)
             with self.builder.if_then(self.builder.not_(self.equal(code, 0))):
                 self.finish(code)
         for model, each, place in self.each_state(instance, values):
-            self.call(model, steps.set_state, [
-                self.actuators(model, each), self.own(model, each)], place)
+            self.call(model, each, steps.set_state, place)
         self.finish()
 
     def each_state(self, instance, values):
@@ -499,9 +477,9 @@ class Library(NamedTuple):
 
 def library(simulators: list[Any], interface: Interface, target: str, name: str) -> Library:
     """
-    Return the object file of a model or, with its finer one, of two; `simulators` are at the start.
+    Return the object file of a model or, with its finer one, of two.
 
-    For `target` see `compiled.machine.target_machine`; names of functions begin with `name`.
+    `simulators` are at their start. For `target` see `compiled.machine.target_machine`; names of functions begin with `name`.
     """
     target_machine = machine.target_machine(target)
     models = [_Model(each, number, target, interface)

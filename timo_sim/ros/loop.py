@@ -175,7 +175,7 @@ class Loop:
                 outlet.publish(snapshot)
 
     def _show_reached(self, changed=False):
-        """Send the state to subscribers, where it was not due, or has changed while time stands."""
+        """Send the state to subscribers, where it was not due or has `changed` by itself."""
         step = self.simulator.steps
         # In lock step controllers would answer a state that waits for no command.
         if self.gate.takes_commands(step) and not self.diverged:

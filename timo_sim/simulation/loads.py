@@ -78,7 +78,7 @@ def commanded_load(values: Mapping[str, Any], many: tuple[int, ...] = (),
 
 
 def limits_of(values: Mapping[str, Any]) -> list[list[float]]:
-    """Return the limits of commands and of their rates in a scene, infinite without, (2, LOADS)."""
+    """Return the limits of commands and of their rates, infinite without, shape (2, LOADS)."""
     return [[values[name] if name else math.inf for name in names]
             for names in zip(*((each.limit, each.rate_limit) for each in INPUTS))]
 
