@@ -10,7 +10,9 @@ processor of the build; its files have names that tell the processor, so that no
 An editable installation, whose sources will change, has the code of the default scene alone.
 """
 
+from collections.abc import Iterator
 from concurrent.futures import ProcessPoolExecutor
+from itertools import product
 import os
 from pathlib import Path
 import shutil
@@ -19,6 +21,8 @@ import tempfile
 from typing import Any
 
 from timo_sim.compiled import machine, store
+from timo_sim.compiled.entry import EntryPoint
+from timo_sim.compiled.functions import Constants
 from timo_sim.model import exact_code, functions, modes, newton
 from timo_sim.scene.scene import load_scene
 from timo_sim.simulation.simulator import Simulator
@@ -29,37 +33,27 @@ USUAL = [{'model.formulation': formulation, 'model.modes': modes}
          for formulation in ('exact', 'newton') for modes in range(1, 9)]
 
 
-def entries() -> list[tuple[Any, tuple[type, ...]]]:
-    """Return the entry points and the kinds of their constants."""
-    found: list[tuple[Any, tuple[type, ...]]] = [
-        (entry, (modes.UniformArm,))
-        for entry in (modes.bisect, modes.boundary_conditions, modes.fields)]
-    for tables in (exact_code.Tables, newton.Tables):
-        own = instance.Plant, instance.Instance
-        found += [
-            (functions.rate_once, (tables,)), (functions.tips, (tables,)),
-            (functions.accelerations_of, (tables, functions.Flow)),
-            (functions.efforts, (tables,)), (functions.energies, (tables,)),
-            (instance.is_valid, (tables, instance.Instance)),
-            (instance.set_rates, (tables, *own)), (instance.set_forces, (tables, *own))]
-        for step in [(tables, matrices) for matrices in etdrk4.one_step.bodies]:
-            found += [(etdrk4.advance, step), (friction.advance, (*step, friction.Joints)),
-                      (lanes.advance_alike, (*step, lanes.LaneConstants)),
-                      (lanes.advance_each, (*step, lanes.LaneConstants))]
-    found.append((derivatives.differentiate,
-                  (exact_code.Tables, etdrk4.Propagator, derivatives.Inputs)))
-    actuators = loads.Actuators, instance.Instance
-    found.append((loads.add_scene_loads, ()))
-    found += [(entry, (loads.Actuators,)) for entry in (
-        loads.add_commands, loads.restart, instance.get_parameter)]
-    found += [(entry, own) for entry in (instance.finish, instance.set_outputs)]
-    found += [(instance.prepare, (loads.SceneLoads, *actuators)),
-              (instance.reset, (instance.Plant, *actuators))]
-    found += [(entry, actuators) for entry in (
-        instance.set_parameter, instance.get_state, instance.set_state)]
-    return found + [(entry, (instance.Instance,)) for entry in (
-        instance.set_input, instance.get_input, instance.set_place, instance.compare,
-        instance.lose, instance.get_output, instance.get_outputs, instance.check_state)]
+# Kinds of the constants of entry points, by the name of the argument.
+_KINDS: dict[str, list[type]] = {
+    'arm': [modes.UniformArm], 'tables': [exact_code.Tables, newton.Tables],
+    'flow': [functions.Flow], 'propagator': [*etdrk4.one_step.bodies],
+    'joints': [friction.Joints], 'lane': [lanes.LaneConstants], 'inputs': [derivatives.Inputs],
+    'loads': [loads.SceneLoads], 'actuators': [loads.Actuators], 'plant': [instance.Plant],
+    'instance': [instance.Instance]}
+
+
+def entries() -> Iterator[tuple[EntryPoint, tuple[type, ...]]]:
+    """Yield the entry points, each with the kinds of its constants."""
+    for module in modes, functions, derivatives, etdrk4, friction, instance, lanes, loads:
+        for entry in vars(module).values():
+            if not isinstance(entry, EntryPoint) or entry.__module__ != module.__name__:
+                continue
+            names = [name for name, argument in entry.arguments.items()
+                     if isinstance(argument, Constants)]
+            for kinds in product(*(_KINDS[name] for name in names)):
+                if entry is not derivatives.differentiate or (  # of this formulation alone
+                        kinds[:2] == (exact_code.Tables, etdrk4.Propagator)):
+                    yield entry, kinds
 
 
 def compile_usual(values: dict[str, Any]) -> None:
