@@ -208,7 +208,7 @@ def test_a_step_allocates_nothing(formulation, entry, tmp_path):
     path = tmp_path / 'step.o'
     code = machine.intermediate_code(entry, tuple(each.kind for each in constants))
     path.write_bytes(machine.object_code(
-        code, machine.symbols_of(constants), machine.host_machine(), 'step'))
+        code, machine.symbols_of(constants), machine.target_machine('host'), 'step'))
     undefined = subprocess.run(['nm', '-u', path], check=True, capture_output=True, text=True)
     assert {*undefined.stdout.split()} <= {'U', 'memcpy', 'memmove', 'memset'}
 

@@ -162,13 +162,10 @@ def _multiply(builder, a, b):
     return builder.fmul(a, b, flags=_FLAGS)
 
 
-def _divide(builder, a, b):
-    return builder.fdiv(a, b, flags=_FLAGS)
-
-
 def _define_arithmetic():
-    for name, generate in (('add', _add), ('sub', _subtract), ('mul', _multiply),
-                           ('truediv', _divide)):
+    for name, generate in (
+            ('add', _add), ('sub', _subtract), ('mul', _multiply),
+            ('truediv', lambda builder, a, b: builder.fdiv(a, b, flags=_FLAGS))):
         _define((getattr(operator, name), getattr(operator, f'i{name}')), (LANES, LANES), LANES,
                 generate)
     for compare, sign in ((operator.eq, '=='), (operator.lt, '<'), (operator.le, '<='),

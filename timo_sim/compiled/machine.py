@@ -97,30 +97,23 @@ TARGETS = {'x86-64-v2': ('x86_64-unknown-linux-gnu', 'x86-64-v2'),
            'aarch64': ('aarch64-unknown-linux-gnu', 'generic')}
 
 
-def host_machine(**options: str) -> Any:
-    """Return LLVM's target machine for this computer; `options` are those of llvmlite."""
+def target_machine(name: str, reloc: str = 'pic', codemodel: str = 'default') -> Any:
+    """Return LLVM's target machine of 'host' or one of TARGETS, with options of llvmlite."""
     _initialise()
-    return _machine(llvm.get_process_triple(), llvm.get_host_cpu_name(),
-                    llvm.get_host_cpu_features().flatten(), **options)
+    if name == 'host':
+        triple, processor = llvm.get_process_triple(), llvm.get_host_cpu_name()
+        features = llvm.get_host_cpu_features().flatten()
+    else:
+        llvm.initialize_all_targets()
+        llvm.initialize_all_asmprinters()
+        (triple, processor), features = TARGETS[name], ''
+    return llvm.Target.from_triple(triple).create_target_machine(
+        cpu=processor, features=features, opt=3, reloc=reloc, codemodel=codemodel)
 
 
 def _loading_machine():
     # In a process that loads it, code may be far from its constants.
-    return host_machine(reloc='static', codemodel='large')
-
-
-def target_machine(name: str) -> Any:
-    """Return LLVM's target machine of 'host' or one of TARGETS."""
-    if name == 'host':
-        return host_machine()
-    llvm.initialize_all_targets()
-    llvm.initialize_all_asmprinters()
-    return _machine(*TARGETS[name], '')
-
-
-def _machine(triple, processor, features, reloc='pic', codemodel='default'):
-    return llvm.Target.from_triple(triple).create_target_machine(
-        cpu=processor, features=features, opt=3, reloc=reloc, codemodel=codemodel)
+    return target_machine('host', reloc='static', codemodel='large')
 
 
 def specialise(code: bytes, symbols: dict[str, int], machine: Any, name: str) -> Any:
@@ -187,7 +180,6 @@ def _optimise(module, machine):
 
 @functools.cache
 def _engine():
-    _initialise()
     return llvm.create_mcjit_compiler(llvm.parse_assembly(''), _loading_machine())
 
 

@@ -13,7 +13,7 @@ from collections import deque
 from collections.abc import Callable, Iterable, Iterator, Mapping
 from concurrent.futures import Executor, ProcessPoolExecutor
 from concurrent.futures.process import BrokenProcessPool
-from contextlib import contextmanager
+from contextlib import contextmanager, suppress
 import fcntl
 import hashlib
 import itertools
@@ -247,17 +247,13 @@ def _record_reasons(reasons, rows):
 
 def _column_of(parameter, values):
     # A value that breaks its rule becomes NaN or None; the `reason` of its row names it.
-    cells = []
-    for value in values:
-        try:
-            cells.append(parameter.check(value))
-        except ParameterError:
-            cells.append(None)
+    cells: list[Any] = [None] * len(values)
+    for row, value in enumerate(values):
+        with suppress(ParameterError):
+            cells[row] = parameter.check(value)
     kind = type(parameter.default)
-    if kind is float:
-        return np.array(cells, dtype=float)
-    if kind is int and None not in cells:
-        return np.array(cells)
+    if kind is float or kind is int and None not in cells:
+        return np.array(cells, dtype=kind)
     column = np.empty(len(cells), dtype=object)
     column[:] = cells
     return column
