@@ -22,7 +22,8 @@ from timo_sim.simulation.simulator import Simulator
 from timo_sim.steps.instance import Code
 from timo_sim.version import __version__
 
-_HEADER = Template("""\
+# The templates have `name` and `NAME` as words or first parts of words, see `_fill`.
+_HEADER = """\
 /*
  * A flexible arm, exported by timo_sim $version for $target.
  *
@@ -110,7 +111,7 @@ const char *name_parameter_unit(int parameter);
 #endif
 
 #endif
-""")
+"""
 
 _DERIVATIVES = """
 #define NAME_MOTION $motion /* count of numbers of a motion */
@@ -125,7 +126,7 @@ int name_step_derivatives(name *instance,
                           double values[NAME_MOTION + NAME_INPUTS][NAME_MOTION]);
 """
 
-_MAIN = Template("""\
+_MAIN = """\
 /* Run it$under and print a table. */
 #include <stdio.h>
 
@@ -154,9 +155,9 @@ $command
         fprintf(stderr, "%s\\n", name_error_text(code));
     return code;
 }
-""")
+"""
 
-_CMAKE = Template("""\
+_CMAKE = """\
 cmake_minimum_required(VERSION 3.16)
 project(name C)
 
@@ -166,7 +167,7 @@ target_include_directories(name INTERFACE $${CMAKE_CURRENT_SOURCE_DIR})
 
 add_executable(main main.c)
 target_link_libraries(main name)
-""")
+"""
 
 
 def export_c(scene: SceneLike, folder: Path | str, target: str = 'host', estimate: bool = False,
@@ -222,8 +223,7 @@ def export_c(scene: SceneLike, folder: Path | str, target: str = 'host', estimat
     made = library(simulators, interface, target, name)
     folder.mkdir(parents=True, exist_ok=True)
     texts = {f'{name}.h': _header(interface, made, scene.step, target, name),
-             'main.c': _main(interface, scene.step, name),
-             'CMakeLists.txt': _named(_CMAKE.substitute(), name)}
+             'main.c': _main(interface, scene.step, name), 'CMakeLists.txt': _fill(_CMAKE, name)}
     contents = {f'{name}.o': made.content,
                 **{file: text.encode() for file, text in texts.items()}}
     for file, content in contents.items():
@@ -252,10 +252,10 @@ def link(folder: Path | str, sources: list[str], exports: str) -> bytes:
     return Path(folder, 'linked.so').read_bytes()
 
 
-def _named(text, name):
-    # The templates have `name` and `NAME` as words or first parts of words.
-    return re.sub(r'\b(name|NAME)(?=\b|_)', lambda found: (
-        name if found[0] == 'name' else name.upper()), text)
+def _fill(template, name, **words):
+    named = re.sub(r'\b(name|NAME)(?=\b|_)', lambda found: (
+        name if found[0] == 'name' else name.upper()), template)
+    return Template(named).substitute(words)
 
 
 def _enum(name, quantities):
@@ -266,17 +266,14 @@ def _enum(name, quantities):
 
 
 def _header(interface, made, step, target, name):
-    codes = [Quantity(code.name, '', TEXTS[code]) for code in Code]
-    words = {'step': repr(step), 'size': made.size, 'saved': made.saved,
-             'derivatives': _DERIVATIVES.replace('$motion', str(made.motion)) * (made.motion > 0),
-             'inputs': len(interface.inputs), 'outputs': len(interface.outputs),
-             'parameters': len(interface.parameters)}
-    lists = {'codes': _enum(name, codes), 'input_list': _enum(name, interface.inputs),
-             'output_list': _enum(name, interface.outputs),
-             'parameter_list': _enum(name, interface.parameters)}
-    # Lists are put in last, since meanings may have the word "name".
-    text = _named(_HEADER.safe_substitute(version=__version__, target=target, **words), name)
-    return Template(text).substitute(lists)
+    inputs, outputs, parameters, _ = interface
+    return _fill(
+        _HEADER, name, version=__version__, target=target, step=repr(step), size=made.size,
+        saved=made.saved, inputs=len(inputs), outputs=len(outputs), parameters=len(parameters),
+        codes=_enum(name, [Quantity(code.name, '', TEXTS[code]) for code in Code]),
+        input_list=_enum(name, inputs), output_list=_enum(name, outputs),
+        parameter_list=_enum(name, parameters),
+        derivatives=_fill(_DERIVATIVES, name, motion=made.motion) if made.motion else '')
 
 
 def _main(interface: Interface, step: float, name: str) -> str:
@@ -284,5 +281,5 @@ def _main(interface: Interface, step: float, name: str) -> str:
     torque = any(each.title == 'torque' for each in interface.inputs)
     command = ('    if (code == NAME_OK)\n'
                '        code = name_set_input(instance, NAME_TORQUE, 1.0);') * torque
-    return _named(_MAIN.substitute(command=command, steps=max(1, round(0.1 / step)),
-                                   under=' under a torque of 1 N m' * torque), name)
+    return _fill(_MAIN, name, command=_fill(command, name), steps=max(1, round(0.1 / step)),
+                 under=' under a torque of 1 N m' * torque)

@@ -6,6 +6,7 @@
 from __future__ import annotations
 
 from collections.abc import Callable
+from contextlib import closing
 from dataclasses import dataclass, field
 from functools import cached_property
 import math
@@ -242,13 +243,11 @@ class Run(MotionFields, PointsOfArm):
             check_table(path, also='.mcap, ')
             write_table(self.columns(), path)
             return path
-        log = NewLog(path, self.scene, {**DEFAULTS, **self.scene.values}, saved_by='Run.save')
-        try:
+        values = {**DEFAULTS, **self.scene.values}
+        with closing(NewLog(path, self.scene, values, saved_by='Run.save')) as log:
             for snapshot in self._snapshots():
                 for output in self._outputs():
                     log.output(output.name, snapshot, output.numbers(snapshot))
-        finally:
-            log.close()
         return log.path
 
     def plot(self, deflection_scale: float = 1.0) -> Figure:
