@@ -75,11 +75,8 @@ class Loop:
 
     def poll(self) -> None:
         """Receive commands."""
-        answered = None
-        if self.gate and self.gate.stamped:
-            step = self.gate.answered_step(self.simulator.steps)
-            answered = round(step * self.simulator.scene.step * 1e9) + self.gate.stamp_offset(step)
-        self._commands.poll(answered)
+        self._commands.poll(self.gate.answered_stamp(
+            self.simulator.steps, self.simulator.scene.step))
 
     def tick(self, now: float, stop: Any) -> float:
         """Do what is due at a wall time [s]; return the time until something is due again [s]."""
@@ -368,9 +365,12 @@ class Gate:
         """Return whether commands may begin to act at a step."""
         return not self.period or step % self.period == 0
 
-    def answered_step(self, step: int) -> int:
-        """Return the step whose state is answered by commands that come at a step."""
-        return -(-step // self.period) * self.period
+    def answered_stamp(self, step: int, size: float) -> int | None:
+        """Return the stamp [ns] that answers have at a step, whose `size` is in [s]; None: any."""
+        if not (self.period and self.stamped):
+            return None
+        answered = -(-step // self.period) * self.period
+        return round(answered * size * 1e9) + self.stamp_offset(answered)
 
     def next_boundary(self, step: int) -> float:
         """Return the next step at which commands may begin to act, or infinity."""
