@@ -195,7 +195,8 @@ def test_dry_friction_holds_an_arm_up_to_its_weight(share, holds):
     ({**DOWN, 'initial.equilibrium': True}, 'the carrier is free along y'),
     ({'carrier.held': 'both', 'initial.equilibrium': True, 'load.torque.piecewise.time': [0.0],
       'load.torque.piecewise.value': [1.0]}, 'no equilibrium was found'),
-    ({**CLAMPED, 'initial.modal_rates': [1.0, 0.0, 0.0]}, 'initial.modal_rates must be empty or 0'),
+    ({**CLAMPED, 'initial.modal_rates': [1.0, 0.0, 0.0]},
+     'initial.modal_rates must be empty or 0'),
     ({**CLAMPED, 'motor.shaft': 'free', 'initial.shaft_velocity': 1.0},
      'initial.shaft_velocity must be empty or 0')])
 def test_what_is_refused(values, words):

@@ -479,7 +479,8 @@ def library(simulators: list[Any], interface: Interface, target: str, name: str)
     """
     Return the object file of a model or, with its finer one, of two.
 
-    `simulators` are at their start. For `target` see `compiled.machine.target_machine`; names of functions begin with `name`.
+    `simulators` are at their start. For `target` see `compiled.machine.target_machine`; names of
+    functions begin with `name`.
     """
     target_machine = machine.target_machine(target)
     models = [_Model(each, number, target, interface)

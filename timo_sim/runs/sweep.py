@@ -14,6 +14,7 @@ from collections.abc import Callable, Iterable, Iterator, Mapping
 from concurrent.futures import Executor, ProcessPoolExecutor
 from concurrent.futures.process import BrokenProcessPool
 from contextlib import contextmanager, suppress
+from dataclasses import dataclass
 import fcntl
 import hashlib
 import itertools
@@ -403,7 +404,8 @@ _RANDOM = {'seed': Parameter('random: seed', 0, '', 'seed of the random values',
            'count': Parameter('random: count', 1, '', 'number of runs', low=1)}
 
 
-class Plan(NamedTuple):
+@dataclass(frozen=True)
+class Plan:
     """The checked content of a sweep's file."""
 
     scene: Scene

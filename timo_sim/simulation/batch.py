@@ -45,7 +45,7 @@ class LaneLoads:
         limits = np.array([limits_of(scene.values) for scene in scenes])
         self._limit, slow = limits[:, 0], np.isfinite(limits[:, 1])
         self._gain = np.array([motor_constants(scene.values)[0] for scene in scenes])
-        self._slow = dict.fromkeys(np.flatnonzero(slow.any(axis=1)).tolist())
+        self._slow: dict[int, Any] = dict.fromkeys(np.flatnonzero(slow.any(axis=1)).tolist())
         varying = (columns for columns, _, _ in self._parts)
         self.columns = np.array(sorted({*np.flatnonzero(slow.any(axis=0)).tolist()}.union(
             *varying)), dtype=np.int64)
