@@ -51,18 +51,14 @@ def local_arrays(kind: Any, like: Any) -> Any:
                   for field in fields_of(kind)))
 
 
-class _Layout(NamedTuple):
-    sizes: dict[str, int]
-    shapes: list[tuple[int, ...]]  # of the fields in a block, padded, without lanes
-    offsets: dict[str, int]
-    length: int                    # of a block [B]
-    strides: list[tuple[int, ...]]  # of the fields, within a block [B]
-    key: Any                       # machine code is the same for the same key
-
-
 @functools.lru_cache(maxsize=1024)
 def _layout(kind, shapes, lanes, pad, given):
-    """Return the layout of constants of a kind whose fields have these shapes."""
+    """
+    Return the layout of constants of a kind whose fields have these shapes.
+
+    That is sizes by name; shapes of the fields in a block, padded, without lanes; their offsets by
+    name; the length of a block; their strides within it [B]; and the key of its machine code.
+    """
     sizes, padded, offsets, strides, end = dict(given), [], {}, [], 0
     for field, shape in zip(fields_of(kind), shapes):
         if pad:
@@ -79,8 +75,8 @@ def _layout(kind, shapes, lanes, pad, given):
         strides.append(tuple(_NUMBER * math.prod(whole[axis + 1:]) for axis in range(len(whole))))
         length = _NUMBER * math.prod(whole)
         end += _CACHE_LINE * math.ceil(length / _CACHE_LINE)  # as vectors should begin
-    return _Layout(sizes, padded, offsets, max(end, _CACHE_LINE), strides,
-                   (kind, lanes, tuple(sorted(sizes.items()))))
+    key = kind, lanes, tuple(sorted(sizes.items()))
+    return sizes, padded, offsets, max(end, _CACHE_LINE), strides, key
 
 
 class Packed:

@@ -31,6 +31,10 @@ class Harmonic:
     frequency: float
     phase: float
 
+    def jumps(self) -> Sequence[float]:
+        """Return no time: it does not jump."""
+        return ()
+
 
 @dataclass(frozen=True)
 class Piecewise:
