@@ -73,8 +73,10 @@ class _Changed(Search):
         self._change, self._arguments = effect.change, arguments
         self.problems = [copy(problem) for problem in search.problems]
         for k, problem in enumerate(self.problems):
+            # Rates are limited already.
             problem.record = limit_inputs(problem.record, {
-                **problem.scene.values, **self.values(search.x, k)})
+                **problem.scene.values, **self.values(search.x, k),
+                **{each.rate_limit: np.inf for each in INPUTS}})
 
     def values(self, x: np.ndarray, k: int) -> dict[str, float]:
         """Return the values of problem `k` and what the effect makes of them."""
@@ -127,22 +129,25 @@ def suspects(search: Search, jacobian: np.ndarray, residuals: np.ndarray) -> lis
     for effect, share, white, sizes in tried:
         # What is all or nothing has no first order.
         if share > _WORTHWHILE * largest or effect.low == 1.0:
-            rest, sizes = _fit(search, effect, sizes)
-            # By Schwarz's criterion (BIC), as if each size were paid in squares.
-            paid = len(rest)**((effect.low < 1.0) * len(sizes) / len(rest))
-            share = max(0.0, float(1.0 - paid * (rest @ rest) / (residuals @ residuals)))
+            rest, sizes, count = _fit(search, effect, sizes)
+            # As Schwarz's criterion (BIC) weighs further parameters.
+            left_over = (rest @ rest) * len(rest)**(count / len(rest))
+            share = max(0.0, float(1.0 - left_over / (residuals @ residuals)))
             white = is_white(rest)
         found.append(Suspect(effect.name, share, white, effect.advice.format(sizes[0])))
     return sorted((each for each in found if each.share), key=lambda each: -each.share)
 
 
 def _fit(search, effect, sizes):
-    """Return residuals, (n,), and arguments of an effect that is fitted with all that is free."""
-    count, fixed = len(search.x), np.append(sizes, effect.shape)
-    start = np.ones(len(fixed) * (effect.low < 1.0))  # factors of the arguments
+    """Return residuals, (n,), of a fit with an effect, its arguments, and how many are free."""
+    count, first = len(search.x), np.append(sizes, effect.shape)
+    start = np.ones(len(first) * (effect.low < 1.0))  # factors of the arguments
+
+    def arguments(z):
+        return z[count:] * first if len(start) else first
 
     def changed(z):
-        return _Changed(search, effect, z[count:] * fixed if len(start) else fixed)
+        return _Changed(search, effect, arguments(z))
 
     def residuals(z):
         return changed(z).residuals(z[:count])
@@ -158,7 +163,7 @@ def _fit(search, effect, sizes):
         (np.append(search.low, low), np.append(search.high, np.inf * start)),
         x_scale='jac', loss=search.loss, ftol=_TOLERANCE, xtol=_TOLERANCE, max_nfev=_MAX_RUNS).x
     rest = residuals(z)
-    return rest * search.weights(rest), z[count:] * fixed if len(start) else fixed
+    return rest * search.weights(rest), arguments(z), len(start)
 
 
 def name_suspects(found: list[Suspect]) -> Iterator[str]:
@@ -239,7 +244,7 @@ def _effects(search: Search) -> Iterator[_Effect]:
                           lambda _, cut, name=each.limit, most=most: {name: most / (1.0 + cut)},
                           [[cut] for cut in _EXCESS])
     yield _Effect('one more mode', f'set model.modes to {own["model.modes"] + 1}',
-                  lambda own, on: {'model.modes': own['model.modes'] + int(on)}, [[1.0]], 1.0)
+                  lambda own, on: {'model.modes': own['model.modes'] + bool(on)}, [[1.0]], 1.0)
 
 
 def _gear(own, compliance, damping=0.1, inertias=1.0):
