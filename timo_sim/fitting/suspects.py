@@ -109,10 +109,11 @@ def suspects(search: Search, jacobian: np.ndarray, residuals: np.ndarray) -> lis
         rest = left + columns @ factors
         return float(1.0 - (rest @ rest) / (left @ left)), is_white(rest), factors
 
-    best = max(((*explain(columns)[:2], frequency) for frequency, columns
-                in _resonances(search, len(left))), default=(0.0, False, 0.0))
+    share, white, frequency = max(
+        ((*explain(columns)[:2], frequency) for frequency, columns
+         in _resonances(search, len(left))), default=(0.0, False, 0.0))
     found = [*_signs(search), Suspect(
-        f'a resonance at {best[2]:.3g} Hz, which no mode of the model has', *best[:2],
+        f'a resonance at {frequency:.3g} Hz, which no mode of the model has', share, white,
         'look for what vibrates beside the arm')]
     tried = []
     for effect in _effects(search):
@@ -248,7 +249,7 @@ def _effects(search: Search) -> Iterator[_Effect]:
 
 
 def _gear(own, compliance, damping=0.1, inertias=1.0):
-    """Return values by name of a gear, with its damping ratio and the inertia before over after."""
+    """Return values of a gear, by its damping ratio and the inertia before it over that after."""
     if not compliance:
         return {}
     after, turns = own['motor.shaft_inertia'] / (1.0 + inertias), own['motor.dc.gear_ratio']
