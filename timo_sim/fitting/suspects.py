@@ -162,7 +162,7 @@ def _fit(search, effect, sizes):
     z = least_squares(
         residuals, np.append(search.x, start), jacobian,
         (np.append(search.low, low), np.append(search.high, np.inf * start)),
-        x_scale='jac', loss=search.loss, ftol=_TOLERANCE, xtol=_TOLERANCE, max_nfev=_MAX_RUNS).x
+        x_scale='jac', loss=search.loss, ftol=_TOLERANCE, max_nfev=_MAX_RUNS).x
     rest = residuals(z)
     return rest * search.weights(rest), arguments(z), len(start)
 
