@@ -130,11 +130,13 @@ def suspects(search: Search, jacobian: np.ndarray, residuals: np.ndarray) -> lis
     for effect, share, white, sizes in tried:
         # What is all or nothing has no first order.
         if share > _WORTHWHILE * largest or effect.low == 1.0:
-            rest, sizes, count = _fit(search, effect, sizes)
+            rest, fitted, count = _fit(search, effect, sizes)
             # As Schwarz's criterion (BIC) weighs further parameters.
             left_over = (rest @ rest) * len(rest)**(count / len(rest))
-            share = max(0.0, float(1.0 - left_over / (residuals @ residuals)))
-            white = is_white(rest)
+            explained = float(1.0 - left_over / (residuals @ residuals))
+            # Where friction sticks, runs jump, and a fit may end where it begins.
+            if explained > share:
+                share, white, sizes = explained, is_white(rest), fitted
         found.append(Suspect(effect.name, share, white, effect.advice.format(sizes[0])))
     return sorted((each for each in found if each.share), key=lambda each: -each.share)
 
