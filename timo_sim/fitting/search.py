@@ -8,6 +8,7 @@ from __future__ import annotations
 from collections.abc import Callable, Sequence
 from dataclasses import replace
 import math
+from typing import Any
 
 import numpy as np
 from scipy.optimize import least_squares

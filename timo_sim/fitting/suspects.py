@@ -70,7 +70,7 @@ class _Changed(Search):
 
     def __init__(self, search: Search, effect: _Effect, arguments: np.ndarray) -> None:
         self.__dict__.update(search.__dict__)
-        self._change, self._arguments = effect.change, arguments
+        self._change, self._arguments, self._known = effect.change, arguments, {}
         self.problems = [copy(problem) for problem in search.problems]
         for k, problem in enumerate(self.problems):
             # Rates are limited already.
@@ -156,8 +156,9 @@ def _fit(search, effect, sizes):
         return changed(z).residuals(z[:count])
 
     def jacobian(z):
-        here = residuals(z)
-        return np.column_stack([changed(z).jacobian(z[:count], _STEP, False), *(
+        same = changed(z)
+        here = same.residuals(z[:count])
+        return np.column_stack([same.jacobian(z[:count], _STEP, False), *(
             (residuals(z + shift) - here) / _STEP for shift in _STEP * np.eye(len(z))[count:])])
 
     low = np.where(np.arange(len(start)) < len(sizes), effect.low, 0.0)
