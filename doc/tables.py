@@ -310,16 +310,21 @@ def _errors_of(part, names):
 def fit_suspects():
     """Return what fits to records with an effect that the scene lacks suspect."""
     each = _fits('suspects')
-    rows = [(name, f'{row["named"]} of {each["count"]}',
-             f'{row["first"]} of {each["count"]}' if row['words'] else '', *(
+    times = [time for row in each['effects'].values() for time in row['times']]
+    rows = [(name, f'{row["named"]} of {each["count"]}', *(
+        f'{row[part]} of {each["count"]}' if row['words'] else '' for part in (
+            'first', 'alone')), *(
                  f'{100.0 * median(row[part]):.0f} %' if row[part] else ''
                  for part in ('shares', 'rivals')), ', '.join(row['others']))
             for name, row in each['effects'].items()]
     return (f'{each["count"]} records of {each["duration"]:g} s for each effect, of arms and '
             'sizes of the effect that differ, fitted with six free parameters by a scene without '
-            'it: how many fits name a suspect, and how many the right one first; its share of '
-            'the squares, and that of the best wrong one over it (medians).\n\n' + _table(
-                ('effect', 'a suspect is named', 'the right one first', 'share',
+            'it: how many fits name a suspect, how many the right one first, and how many one '
+            'alone; the share of the right one of the squares, and that of the best wrong one '
+            'over it (medians). To find suspects takes up to '
+            f'{100.0 * max(times):.0f} % of the time of the rest of the fit (median '
+            f'{100.0 * median(times):.0f} %).\n\n' + _table(
+                ('effect', 'a suspect is named', 'the right one first', 'one alone', 'share',
                  'of the best wrong one', 'wrong ones that are first'), *rows))
 
 

@@ -30,25 +30,26 @@ GEAR = {'motor.gear.stiffness': 100.0, 'motor.gear.damping': 0.05, 'motor.gear.b
         'motor.shaft_inertia': 1e-3, 'motor.rotor.inertia': 1e-3 / 70.0**2}
 
 
-def record(more=None, volts=VOLTAGE, late=0, signs=(1.0, 1.0)):
-    """Return a Record whose voltage is said to be VOLTAGE; the tip is `late` by 0.5 ms each."""
+def record(more=None, volts=VOLTAGE, late=0, signs=(1.0, 1.0), told=VOLTAGE):
+    """Return a Record whose voltage is said to be `told`; the tip is `late` by 0.5 ms each."""
     run = timo_sim.simulate(ARM.vary({
         'integrator.step': 0.0005, 'load.torque.piecewise.time': T,
         'load.torque.piecewise.value': GAIN * volts, **(more or {})}), T[-1], estimate=False)
     tip = run.deflection()[np.maximum(np.arange(0, len(run.t), 4) - late, 0), 1]
     random = np.random.default_rng(1)
-    return timo_sim.Record.of({'voltage': (T, VOLTAGE)}, {
+    return timo_sim.Record.of({'voltage': (T, told)}, {
         name: (T, sign * values + NOISE[name] * random.standard_normal(len(T)))
         for sign, (name, values) in zip(signs, {
             'shaft': run.shaft[::4], 'tip_transverse': tip}.items())})
 
 
-def fit(measured, free=FREE, factor=1.1, **options):
+def fit(measured, free=FREE, factor=1.1, more=None, **options):
     guess = {name: [1.1 * value[0]] if isinstance(value, tuple) else factor * value
              for name, value in ARM.values.items() if name in free}
     with warnings.catch_warnings():
         warnings.simplefilter('ignore', timo_sim.ModelWarning)
-        return timo_sim.fit(ARM.vary(guess), measured, free, starts=1, **options)
+        return timo_sim.fit(ARM.vary({**guess, **(more or {})}), measured, free, starts=1,
+                            **options)
 
 
 @pytest.mark.parametrize('name, made', [
@@ -68,6 +69,40 @@ def test_what_a_record_has_and_the_scene_lacks_is_the_first_suspect(name, made):
     assert told[0].startswith(f'the residuals look like {name} (') and told[0] in found.report()
     shares = [each.share for each in found.suspects]
     assert shares == sorted(shares, reverse=True) and 0.0 <= shares[-1] <= shares[0] <= 1.0
+
+
+@pytest.mark.parametrize('part, stiffness', [(0.2, 8.0), (0.5, 15.0), (0.8, 10.0)])
+def test_a_soft_gear_is_told_from_a_delay(part, stiffness):
+    """Both let the shaft follow late; `part` of its inertia is before the gear."""
+    found = fit(record({
+        'motor.gear.stiffness': stiffness, 'motor.gear.damping': 0.05,
+        'motor.shaft_inertia': (1.0 - part) * 2e-3,
+        'motor.rotor.inertia': part * 2e-3 / 70.0**2}))
+    assert found.suspects[0].name == 'an elastic gear'
+    assert sum('look like an elastic gear' in text for text in found.warnings) == 1
+
+
+def test_a_mode_is_told_from_a_resonance():
+    """Which no first order can: the parameters have fitted one mode to what two of them do."""
+    volts = 12.0 * np.sin(2.0 * np.pi * (22.0 + 10.0 * T) * T)
+    found = fit(record(volts=volts, told=volts), [*FREE, 'motor.dc.torque_constant'],
+                more={'model.modes': 1})
+    assert found.suspects[0].name == 'one more mode'
+    assert found.suspects[0].advice == 'set model.modes to 2'
+
+
+@pytest.mark.parametrize('assumed', [0.0, 0.1])
+def test_friction_that_builds_up_over_another_speed_is_friction_near_rest(assumed):
+    found = fit(record({'motor.coulomb_friction': 0.05, 'motor.coulomb_speed': 1.0}), more={
+        'motor.coulomb_friction': 0.05, 'motor.coulomb_speed': assumed})
+    assert found.suspects[0].name == 'another friction of the motor near rest'
+
+
+def test_inputs_whose_rates_are_limited_are_not_limited_again():
+    measured = record({'motor.coulomb_friction': 0.03})
+    measured.inputs['torque'] = measured.inputs.pop('voltage')._replace(values=GAIN * VOLTAGE)
+    found = fit(measured, more={'motor.torque_rate_limit': 500.0})
+    assert found.suspects[0].name == 'dry friction of the motor'
 
 
 def test_the_size_of_a_suspect_is_that_of_the_record():

@@ -32,6 +32,7 @@ from benchmark.report import machine, parser
 from benchmark.timing import seconds
 import timo_sim
 from timo_sim.fitting.problem import Problem
+from timo_sim.fitting.suspects import suspects
 from timo_sim.scene.parameters import PARAMETERS
 
 sys.path.append(str(ROOT / 'example'))
@@ -86,6 +87,7 @@ EFFECTS = {
     'output sign': ('sign of tip_transverse', ''), 'limit': ('limit of the voltage', ''),
     'gravity': ('gravity', ''), 'mode': ('one more mode', ''), 'resonance': ('resonance', ''),
     'direction': ('depends on the direction', 'motor.coulomb_asymmetry'),
+    'near rest': ('near rest', ''),
     'backlash': ('backlash', 'motor.gear.backlash'),
     'gear': ('elastic gear', 'motor.gear.backlash')}
 SMOOTH = [name for name in FREE if name not in ('motor.coulomb_friction', DELAY)]
@@ -348,13 +350,14 @@ def lacking(effect, seed, duration):
     size = 2.0**random.uniform(-1.0, 1.0)
     base = {**SCENE, 'motor.coulomb_friction': 0.0, **truth,
             'arm.damping_ratio': [truth['arm.damping_ratio']]}
-    if effect == 'direction':
+    if effect in ('direction', 'near rest'):
         base |= {'motor.coulomb_friction': 0.03, 'motor.coulomb_speed': 0.2}
     shaft = 0.5 * truth['motor.shaft_inertia']
     gear = {'motor.shaft_inertia': shaft, 'motor.rotor.inertia': shaft / 70.0**2,
             'motor.gear.stiffness': 100.0 * size, 'motor.gear.damping': 0.05}
     more = {'friction': {'motor.coulomb_friction': 0.03 * size},
             'direction': {'motor.coulomb_asymmetry': 0.3 * size**0.5},
+            'near rest': {'motor.coulomb_speed': size},
             'gear': {**gear, 'motor.gear.stiffness': 10.0 * size},
             'backlash': {**gear, 'motor.gear.backlash': 0.02 * size},
             'gravity': {'gravity': [0.5 * size * np.cos(seed), 0.5 * size * np.sin(seed)]},
@@ -388,11 +391,25 @@ def lacking(effect, seed, duration):
 
 
 def suspected(effect, seed, duration):
-    """Return names and shares of what a fit suspects, the first one first, and whether it says."""
-    measured, scene = lacking(effect, seed, duration)
-    found = quiet(timo_sim.fit, scene, measured, SMOOTH, starts=1)
-    return [[each.name, each.share] for each in found.suspects], any(
-        'look like' in text for text in found.warnings)
+    """
+    Return what a fit suspects: names and shares, the first one first; what it says; time.
+
+    The time is that of the processor to find suspects, over that of the rest of the fit.
+    """
+    (measured, scene), spent = lacking(effect, seed, duration), []
+
+    def timed(*arguments):
+        begun = time.process_time()
+        named = suspects(*arguments)
+        spent.append(time.process_time() - begun)
+        return named
+
+    begun = time.process_time()
+    with mock.patch('timo_sim.fitting.result.suspects', timed):
+        found = quiet(timo_sim.fit, scene, measured, SMOOTH, starts=1)
+    rest = time.process_time() - begun - sum(spent)
+    return [[each.name, each.share] for each in found.suspects], [
+        text for text in found.warnings if 'look like' in text], sum(spent) / rest
 
 
 def all_suspected(count, duration):
@@ -404,7 +421,7 @@ def all_suspected(count, duration):
     rows = {}
     for name in effects:
         own = [each for each, task in zip(found, tasks) if task[0] == name]
-        names = [names for names, says in own if says]
+        names = [names for names, says, _ in own if says]
         words = EFFECTS[name][0]
         first = [each[0] for each in names]
         rivals = [next((share / each[0][1] for text, share in each if words not in text), 0.0)
@@ -412,7 +429,9 @@ def all_suspected(count, duration):
         rows[name] = {
             'words': words, 'named': len(names),
             'first': sum(bool(words) and words in each for each, _ in first),
+            'alone': sum(len(says) == 1 and ', or ' not in says[0] for _, says, _ in own),
             'shares': [share for _, share in first], 'rivals': rivals,
+            'times': [ratio for *_, ratio in own],
             'others': sorted({each for each, _ in first if not words or words not in each})}
     return {'count': count, 'duration': duration, 'effects': rows}
 

@@ -5,7 +5,7 @@
 
 from __future__ import annotations
 
-from collections.abc import Callable, Mapping, Sequence
+from collections.abc import Callable, Sequence
 from dataclasses import replace
 import math
 from typing import Any
@@ -228,16 +228,16 @@ class Search:
         return [(k, name, measured) for k, window in self.windows
                 for name, measured in self.problems[k].measurements(window).items()]
 
-    def _residuals_of(self, x, w, more=None):
+    def _residuals_of(self, x, w):
         k, window = self.windows[w]
-        return self.problems[k].residuals({**self.values(x, k), **(more or {})},
-                                          self.deviations[k], window, self.states(x)[w])
+        return self.problems[k].residuals(
+            self.values(x, k), self.deviations[k], window, self.states(x)[w])
 
-    def residuals(self, x: np.ndarray, more: Mapping[str, Any] | None = None) -> np.ndarray:
-        """Return all residuals, with values of further parameters by name, shape (n,)."""
-        key = x.tobytes(), *self.problems, *self.windows, repr((self.deviations, more))
+    def residuals(self, x: np.ndarray) -> np.ndarray:
+        """Return all residuals, shape (n,)."""
+        key = x.tobytes(), *self.problems, *self.windows, repr(self.deviations)
         if key not in self._known:
-            parts = [self._residuals_of(x, w, more) for w in range(len(self.windows))]
+            parts = [self._residuals_of(x, w) for w in range(len(self.windows))]
             self._known[key] = np.concatenate(
                 [*parts, (x[len(self.free):] - self._prior) / _PRIOR_DEVIATION])
             self._known = dict([*self._known.items()][-_MAX_KNOWN:])

@@ -6,16 +6,19 @@ Which effect, missing in the scene, the residuals of a fit look like.
 
 A run of the fitted scene with some of an effect, less that without, is the direction in which the
 effect moves the residuals. What a change of the free parameters would do as well is taken out; the
-share of the squares of the residuals along the rest is what the effect would explain.
+share of the squares of the residuals along the rest is what the effect would explain, to first
+order. Effects whose share is close to the largest are then fitted, together with the free
+parameters: what these explain is what the squares have fallen by.
 """
 
 from __future__ import annotations
 
-from collections.abc import Iterator, Mapping
+from collections.abc import Callable, Iterator, Mapping, Sequence
 from copy import copy
 from typing import Any, NamedTuple
 
 import numpy as np
+from scipy.optimize import least_squares
 from scipy.signal import bilinear, lfilter
 
 from timo_sim.fitting.problem import DIVERGED, is_within, limit_inputs, WHITE, whiteness
@@ -29,23 +32,56 @@ _ASYMMETRY = 0.2
 _BACKLASH = 0.003, 0.01, 0.03  # [rad]
 _GRAVITY = 0.5, 5.0  # [m/s2]
 _DELAYS = 1, 5  # steps
-_LIMITS = 0.9, 0.7, 0.5  # of the largest value of an input
-_STIFF = 0.9  # phase in a step of the vibration of a gear that is tried
+_EXCESS = 0.1, 0.4, 1.0  # of the largest value of an input over its limit, relative to this
+_REST = 0.02, 0.1  # speeds over which friction builds up, of that of the body
+_STIFF = 5.0  # compliance of a gear that is tried, in step**2 / inertia of the shaft
 _BESIDE = 0.1  # relative distance of a resonance from the modes of the model
 _RESONANCES, _DAMPING = 60, 0.02  # how many frequencies are tried, and their damping ratio
 _ANTICORRELATED = -0.5  # correlation with the first guess below which a sign may be wrong
+_WORTHWHILE = 0.5  # share, relative to the largest, from which on an effect is fitted
+_STEP, _TOLERANCE, _MAX_RUNS = 1e-3, 1e-3, 25  # of these fits, as of `least_squares`
 _MIN_SHARE = 0.2  # share from which on a suspect is named
 _MIN_SHARE_WHITE = 0.02  # the same, if what is left would be white
-_ALIKE = 0.6  # share, relative to the first, from which on another suspect is named, too
+_ALIKE = 1.5  # ratio of what suspects leave to what the first leaves, up to which they are named
 
 
 class Suspect(NamedTuple):
     """An effect that a scene may lack."""
 
     name: str
-    share: float   # of the squares of the residuals that it would explain
+    share: float   # of the squares of the residuals that it explains
     white: bool    # whether the rest of the residuals would be white
     advice: str
+
+
+class _Effect(NamedTuple):
+    """An effect that is tried; `change` takes values of a scene, sizes and shape, gives values."""
+
+    name: str
+    advice: str     # with a place for the first size
+    change: Callable[..., dict[str, Any]]
+    trials: Sequence[Sequence[float]]   # sizes that are tried; each of them alone moves a run
+    low: float = 0.0    # least factor of sizes: 0, -inf for both signs, 1 for all or nothing
+    shape: Sequence[float] = ()     # further arguments, which are fitted with the sizes
+
+
+class _Changed(Search):
+    """A Search whose scenes have an effect, with these arguments."""
+
+    def __init__(self, search: Search, effect: _Effect, arguments: np.ndarray) -> None:
+        self.__dict__.update(search.__dict__)
+        self._change, self._arguments, self._known = effect.change, arguments, {}
+        self.problems = [copy(problem) for problem in search.problems]
+        for k, problem in enumerate(self.problems):
+            # Rates are limited already.
+            problem.record = limit_inputs(problem.record, {
+                **problem.scene.values, **self.values(search.x, k),
+                **{each.rate_limit: np.inf for each in INPUTS}})
+
+    def values(self, x: np.ndarray, k: int) -> dict[str, float]:
+        """Return the values of problem `k` and what the effect makes of them."""
+        own = super().values(x, k)
+        return {**own, **self._change({**self.problems[k].scene.values, **own}, *self._arguments)}
 
 
 def suspects(search: Search, jacobian: np.ndarray, residuals: np.ndarray) -> list[Suspect]:
@@ -60,36 +96,83 @@ def suspects(search: Search, jacobian: np.ndarray, residuals: np.ndarray) -> lis
     left = residuals - free @ (free.T @ residuals)
     edges = np.cumsum([len(measured) for *_, measured in search.series()])
 
-    def explain(columns, positive):
-        """Return share, whether the rest is white, and the factor of the first column."""
+    def is_white(rest):
+        return all(whiteness(each) >= WHITE for each in np.split(rest, edges)[:-1])
+
+    def explain(columns, low=-np.inf):
+        """Return share, whether the rest is white, and the factors of the columns."""
         columns = root[:, np.newaxis] * np.column_stack(columns)
         columns -= free @ (free.T @ columns)
         factors, *_ = np.linalg.lstsq(columns, -left, rcond=1e-9)
-        if positive and factors[0] < 0.0:
-            return 0.0, False, 0.0
+        if low >= 0.0 and factors[0] < 0.0:
+            return 0.0, False, factors
         rest = left + columns @ factors
-        white = all(whiteness(each) >= WHITE for each in np.split(rest, edges)[:-1])
-        return float(1.0 - (rest @ rest) / (left @ left)), white, float(factors[0])
+        return float(1.0 - (rest @ rest) / (left @ left)), is_white(rest), factors
 
-    found = [*_signs(search)]
-    for name, advice, positive, trials in _effects(search):
-        best = 0.0, False, 0.0
-        for size, base, changes in trials:
-            runs = [_residuals(search, {**base, **each}) for each in ({}, *changes)]
-            if all(run is not None for run in runs):
-                share, white, factor = explain([run - runs[0] for run in runs[1:]], positive)
-                best = max(best, (share, white, factor * size))
-        found.append(Suspect(name, *best[:2], advice.format(best[2])))
-    best = max(((*explain(columns, False)[:2], frequency) for frequency, columns
-                in _resonances(search, len(left))), default=(0.0, False, 0.0))
-    found.append(Suspect(f'a resonance at {best[2]:.3g} Hz, which no mode of the model has',
-                         *best[:2], 'look for what vibrates beside the arm'))
+    share, white, frequency = max(
+        ((*explain(columns)[:2], frequency) for frequency, columns
+         in _resonances(search, len(left))), default=(0.0, False, 0.0))
+    found = [*_signs(search), Suspect(
+        f'a resonance at {frequency:.3g} Hz, which no mode of the model has', share, white,
+        'look for what vibrates beside the arm')]
+    tried = []
+    for effect in _effects(search):
+        of_trials = []
+        for sizes in map(np.array, effect.trials):
+            runs = [_Changed(search, effect, each).residuals(search.x)
+                    for each in (0.0 * sizes, *np.diag(sizes))]
+            if all(np.all(np.abs(run) < DIVERGED) for run in runs):
+                share, white, factors = explain([run - runs[0] for run in runs[1:]], effect.low)
+                of_trials.append((share, white, np.maximum(factors, effect.low) * sizes))
+        if of_trials:
+            tried.append((effect, *max(of_trials, key=lambda each: each[0])))
+    largest = max(share for _, share, *_ in [*found, *tried])
+    for effect, share, white, sizes in tried:
+        # What is all or nothing has no first order.
+        if share > _WORTHWHILE * largest or effect.low == 1.0:
+            rest, fitted, count = _fit(search, effect, sizes)
+            # As Schwarz's criterion (BIC) weighs further parameters.
+            left_over = (rest @ rest) * len(rest)**(count / len(rest))
+            explained = float(1.0 - left_over / (residuals @ residuals))
+            # Where friction sticks, runs jump, and a fit may end where it begins.
+            if explained > share:
+                share, white, sizes = explained, is_white(rest), fitted
+        found.append(Suspect(effect.name, share, white, effect.advice.format(sizes[0])))
     return sorted((each for each in found if each.share), key=lambda each: -each.share)
+
+
+def _fit(search, effect, sizes):
+    """Return residuals, (n,), of a fit with an effect, its arguments, and how many are free."""
+    count, first = len(search.x), np.append(sizes, effect.shape)
+    start = np.ones(len(first) * (effect.low < 1.0))  # factors of the arguments
+
+    def arguments(z):
+        return z[count:] * first if len(start) else first
+
+    def changed(z):
+        return _Changed(search, effect, arguments(z))
+
+    def residuals(z):
+        return changed(z).residuals(z[:count])
+
+    def jacobian(z):
+        same = changed(z)
+        here = same.residuals(z[:count])
+        return np.column_stack([same.jacobian(z[:count], _STEP, False), *(
+            (residuals(z + shift) - here) / _STEP for shift in _STEP * np.eye(len(z))[count:])])
+
+    low = np.where(np.arange(len(start)) < len(sizes), effect.low, 0.0)
+    z = least_squares(
+        residuals, np.append(search.x, start), jacobian,
+        (np.append(search.low, low), np.append(search.high, np.inf * start)),
+        x_scale='jac', loss=search.loss, ftol=_TOLERANCE, max_nfev=_MAX_RUNS).x
+    rest = residuals(z)
+    return rest * search.weights(rest), arguments(z), len(start)
 
 
 def name_suspects(found: list[Suspect]) -> Iterator[str]:
     """Yield a text that names the likely ones of some Suspects, if there are any."""
-    likely = [each for each in found if each.share > _ALIKE * found[0].share and (
+    likely = [each for each in found if 1.0 - each.share <= _ALIKE * (1.0 - found[0].share) and (
         each.share > _MIN_SHARE or each.white and each.share > _MIN_SHARE_WHITE)]
     if likely:
         yield 'the residuals look like ' + ', or '.join(
@@ -112,75 +195,72 @@ def _signs(search):
                           'scale: -1 in the mapping')
 
 
-def _residuals(search, more):
-    """Return the residuals with more values by name, or None if there is no such run."""
-    searched, more = search, dict(more)
-    limits = {name: more.pop(name) for name in [*more] if name.endswith('_limit')}
-    if limits:
-        searched = copy(search)
-        searched.problems = [copy(problem) for problem in search.problems]
-        for problem in searched.problems:
-            problem.record = limit_inputs(problem.record, {**problem.scene.values, **limits})
-    try:
-        for k, problem in enumerate(search.problems):
-            problem.scene_of({**search.values(search.x, k), **more})
-    except ParameterError:
-        return None
-    found = searched.residuals(search.x, more)
-    return None if np.any(np.abs(found) >= DIVERGED) else found
-
-
-def _effects(search: Search) -> Iterator[tuple[str, str, bool, list[Any]]]:
-    """
-    Yield name, advice, whether an effect has one sign only, and trials.
-
-    A trial has the size for a factor of one, values by name of the run to compare with, and a list
-    of further values, each of a run with the effect.
-    """
-    problem, values = search.problems[0], search.values(search.x, 0)
+def _effects(search: Search) -> Iterator[_Effect]:
+    """Yield the effects that a scene lacks."""
+    problem, both = search.problems[0], -np.inf
     window, state = problem.windows[0], search.states(search.x)[0]
-    run, step = problem.run(values, window.begin, window.end, state), problem.scene.step
+    values, step = search.values(search.x, 0), problem.scene.step
+    run = problem.run(values, window.begin, window.end, state)
     own: Mapping[str, Any] = run.scene.values
     rates = run.values[:, run.values.shape[1] // 2:][:, :3]
-    forces = np.diag(run.model.mass_matrix(run.values[0])[0])[:3] * np.sqrt(
-        np.mean(np.gradient(rates, step, axis=0)**2, axis=0))
-    for body, size in (('carrier', forces[:2].max()), ('motor', forces[2])):
-        if size and not own[name := f'{body}.coulomb_friction']:
-            yield (f'dry friction of the {body}', f'set {name} to about {{:.2g}}, and free it',
-                   True, [(part * size, {}, [{name: part * size}]) for part in _FRICTION])
+    speeds, accelerations = (np.sqrt(np.mean(each**2, axis=0)) for each in (
+        rates, np.gradient(rates, step, axis=0)))
+    forces = np.diag(run.model.mass_matrix(run.values[0])[0])[:3] * accelerations
+    for body, force, speed in (('carrier', forces[:2].max(), speeds[:2].max()),
+                               ('motor', forces[2], speeds[2])):
+        name, rest = f'{body}.coulomb_friction', f'{body}.coulomb_speed'
+        if force and not own[name]:
+            yield _Effect(
+                f'dry friction of the {body}', f'set {name} to about {{:.2g}}, and free it',
+                lambda _, size, name=name: {name: size}, [[part * force] for part in _FRICTION])
+        elif force and rest not in values:
+            yield _Effect(
+                f'another friction of the {body} near rest', f'set {rest}, and free it',
+                lambda own, size, name=rest: {name: own[name] * np.exp(size) or size},
+                *([[[1.0]], both] if own[rest] else [[[part * speed] for part in _REST]]))
     for name in (name for name in PARAMETERS if name.endswith('.coulomb_asymmetry')):
         if own[name.replace('asymmetry', 'friction')] and not own[name]:
-            yield ('friction that depends on the direction', f'set {name} to about {{:.2g}}, and '
-                   'free it', False, [(_ASYMMETRY, {}, [{name: _ASYMMETRY}])])
+            yield _Effect('friction that depends on the direction',
+                          f'set {name} to about {{:.2g}}, and free it',
+                          lambda _, size, name=name: {name: size}, [[_ASYMMETRY]], both)
     if own['motor.shaft'] == 'free' and not own['motor.gear.backlash']:
-        gear = {} if own['motor.gear.stiffness'] else _gear(own, step)
-        if gear:
-            yield ('an elastic gear', 'set motor.gear.stiffness and motor.rotor.inertia, and free '
-                   'them', True, [(1.0, {}, [gear])])
-        yield ('backlash of the gear', 'set motor.gear.backlash to about {:.2g}', True,
-               [(play, gear, [{'motor.gear.backlash': play}]) for play in _BACKLASH])
+        stiff = _STIFF / own['motor.shaft_inertia'] * step**2
+        if not own['motor.gear.stiffness']:
+            yield _Effect('an elastic gear', 'set motor.gear.stiffness and motor.rotor.inertia, '
+                          'and free them', _gear, [[stiff]], shape=[0.1, 1.0])
+        yield _Effect(
+            'backlash of the gear', 'set motor.gear.backlash to about {:.2g}',
+            lambda own, size: {**({} if own['motor.gear.stiffness'] else _gear(own, stiff)),
+                               'motor.gear.backlash': size}, [[play] for play in _BACKLASH])
     if not any(own['gravity']):
-        yield ('gravity, as of a tilted plane', 'set gravity', False,
-               [(size, {}, [{'gravity[0]': size}, {'gravity[1]': size}]) for size in _GRAVITY])
+        yield _Effect('gravity, as of a tilted plane', 'set gravity',
+                      lambda _, x, y: {'gravity[0]': x, 'gravity[1]': y},
+                      [[size, size] for size in _GRAVITY], both)
     for name in (*problem.record.inputs, *problem.record.outputs):
         if f'{name}.delay' not in values:
-            yield (f'a delay of {name}', f'free {name}.delay, about {{:.2g}} s', False,
-                   [(count * step, {}, [{f'{name}.delay': count * step}]) for count in _DELAYS])
+            yield _Effect(f'a delay of {name}', f'free {name}.delay, about {{:.2g}} s',
+                          lambda _, size, name=f'{name}.delay': {name: size},
+                          [[count * step] for count in _DELAYS], both)
     for each in INPUTS:
         if each.name in problem.record.inputs and each.limit and not np.isfinite(own[each.limit]):
             most = np.abs(problem.record.inputs[each.name].values).max()
-            yield (f'a limit of the {each.name}', f'set {each.limit}, below {most:.2g}', True,
-                   [(part * most, {}, [{each.limit: part * most}]) for part in _LIMITS])
-    yield ('one more mode', f'set model.modes to {own["model.modes"] + 1}', True,
-           [(1.0, {}, [{'model.modes': own['model.modes'] + 1}])])
+            yield _Effect(f'a limit of the {each.name}', f'set {each.limit}, below {most:.2g}',
+                          lambda _, cut, name=each.limit, most=most: {name: most / (1.0 + cut)},
+                          [[cut] for cut in _EXCESS])
+    yield _Effect('one more mode', f'set model.modes to {own["model.modes"] + 1}',
+                  lambda own, on: {'model.modes': own['model.modes'] + bool(on)}, [[1.0]], 1.0)
 
 
-def _gear(own, step):
-    """Return a stiff gear that has half of the inertia of the shaft before it."""
-    half, turns = 0.5 * own['motor.shaft_inertia'], own['motor.dc.gear_ratio']
-    return {'motor.shaft_inertia': half, 'motor.rotor.inertia': half / turns**2,
-            'motor.gear.stiffness': 0.5 * half * (_STIFF / step)**2,
-            'motor.gear.damping': 0.1 * half * _STIFF / step,
+def _gear(own, compliance, damping=0.1, inertias=1.0):
+    """Return values of a gear, by its damping ratio and the inertia before it over that after."""
+    if not compliance:
+        return {}
+    after, turns = own['motor.shaft_inertia'] / (1.0 + inertias), own['motor.dc.gear_ratio']
+    before = inertias * after
+    mean = before / (1.0 + inertias)
+    return {'motor.shaft_inertia': after, 'motor.rotor.inertia': before / turns**2,
+            'motor.gear.stiffness': 1.0 / compliance,
+            'motor.gear.damping': 2.0 * damping * np.sqrt(mean / compliance),
             'motor.coulomb_friction': 0.0, 'motor.coulomb_speed': 0.0,
             'motor.rotor.coulomb_friction': own['motor.coulomb_friction'] / turns,
             'motor.rotor.coulomb_speed': turns * own['motor.coulomb_speed']}
