@@ -26,7 +26,7 @@ from timo_sim.fitting.record import Channel, DRIVE, OUTPUTS, Record, unit_of
 from timo_sim.model.layout import INPUTS
 from timo_sim.runs.run import Run, run_scene
 from timo_sim.scene.loads import Load, on_boundaries, Table
-from timo_sim.scene.parameters import did_you_mean, ModelWarning, ParameterError, short
+from timo_sim.scene.parameters import did_you_mean, ModelWarning, ParameterError, short, StepError
 from timo_sim.scene.scene import (
     INITIAL, initial_names, initial_scale, motor_constants, number_of, overrides_of, Scene)
 from timo_sim.simulation.warnings import DivergenceError
@@ -291,6 +291,7 @@ def _spline(t, angle, knots):
 
 _AT_STEP = 1e-6  # [steps] distance from a step within which a sample is taken at it
 _MAX_STEPS = 1e7
+_MAX_PARTS = 16  # of a step, for friction that is steep
 DIVERGED = 1e3  # residual, in standard deviations, of a run that diverges
 
 
@@ -361,11 +362,22 @@ class Problem:
 
     def scene_of(self, values: Mapping[str, float],
                  initial: Mapping[str, float] | None = None) -> Scene:
-        """Return the scene with free values, and an initial state, without the record's loads."""
+        """
+        Return the scene with free values, and an initial state, without the record's loads.
+
+        Its step is a part of the scene's where this is too long for friction or backlash.
+        """
         sensors = {f'{quantity}.{kind}' for kind in SENSOR
                    for quantity in (*self.record.inputs, *self.record.outputs)}
         own = {name: value for name, value in values.items() if name not in sensors}
-        return self.scene.vary(overrides_of({**own, **(initial or {})}, self.scene))
+        changes = overrides_of({**own, **(initial or {})}, self.scene)
+        try:
+            return self.scene.vary(changes)
+        except StepError as error:
+            parts = 2**math.ceil(math.log2(self.scene.step / error.longest))
+            if parts > _MAX_PARTS:
+                raise
+            return self.scene.vary({**changes, 'integrator.step': self.scene.step / parts})
 
     def run(self, values: Mapping[str, float], begin: float = 0.0, end: float | None = None,
             initial: Mapping[str, float] | None = None, scene: Scene | None = None) -> Run:

@@ -110,7 +110,7 @@ class _ArmOnShaft:
         predicted = self._seen.predictions(run, values, 0.0, self._seen.until)
         scene = self._free.scene_of(values)
         applied = loads_of(self._free.record, scene, values).stages(
-            0, len(run.t) - 1, scene.step)[::_EVERY, AFTER, TORQUE]
+            0, len(run.t) - 1, run.scene.step)[::_EVERY, AFTER, TORQUE]
         pairs = [(each, predicted[name][1]) for name, each in self._measured.items()]
         return pairs, applied, terms
 

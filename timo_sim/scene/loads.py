@@ -16,7 +16,7 @@ import numpy as np
 
 from timo_sim.compiled.functions import WIDTH
 from timo_sim.model.layout import ACCELERATION, ANGLE, INPUTS, LOADS, STEP_LOADS
-from timo_sim.scene.parameters import ParameterError
+from timo_sim.scene.parameters import StepError
 from timo_sim.steps.loads import add_scene_loads, NEAR, POINT, SceneLoads
 
 # Columns of the inputs that a scene may prescribe over time, by name.
@@ -180,7 +180,7 @@ _CONTACT = 1.0
 
 
 def check_slope(scene: Any) -> None:
-    """Raise ParameterError if steps are too long for friction over a speed, or for backlash."""
+    """Raise StepError if steps are too long for friction over a speed or way, or for backlash."""
     limit, speed, asymmetry = np.array(scene.manipulator.coulomb)[[0, 0, 1, 2]].T
     gear, bristles = scene.manipulator.gear, scene.bristles
     if not limit.any() and not bristles.any() and not (gear and gear.backlash):
@@ -204,16 +204,14 @@ def check_slope(scene: Any) -> None:
         if gear and gear.backlash:  # its twist is the rotor's angle less that of the shaft
             contact = max(contact, np.sqrt(gear.stiffness * (
                 mobility[2, 2] + mobility[3, 3] - 2.0 * mobility[2, 3])))
-    for fastest, what, name, power in (
-            (contact, 'backlash of a gear with this stiffness', 'motor.gear.stiffness', -2),
-            (bristle, 'Coulomb friction with so small a presliding', 'coulomb_presliding', 2)):
-        if fastest * scene.step > _CONTACT:
-            factor = (fastest * scene.step / 0.99 / _CONTACT)**power
-            raise ParameterError(f'integrator.step = {scene.step:g} s must be at most '
-                                 f'{0.99 * _CONTACT / fastest:.3g} s for {what}: take that, or a '
-                                 f'{name} {factor:.3g} times as large')
-    if rate * scene.step > _STABLE:
-        raise ParameterError(f'integrator.step = {scene.step:g} s must be at most '
-                             f'{0.99 * _STABLE / rate:.3g} s for Coulomb friction with this slope:'
-                             ' take that, or a coulomb_speed '
-                             f'{1.01 * rate * scene.step / _STABLE:.3g} times as large')
+    for fastest, most, what, name, power in (
+            (contact, _CONTACT, 'backlash of a gear with this stiffness', 'motor.gear.stiffness',
+             -2),
+            (bristle, _CONTACT, 'Coulomb friction with so small a presliding',
+             'coulomb_presliding', 2),
+            (rate, _STABLE, 'Coulomb friction with this slope', 'coulomb_speed', 1)):
+        if fastest * scene.step > most:
+            longest = 0.99 * most / fastest
+            raise StepError(f'integrator.step = {scene.step:g} s must be at most {longest:.3g} s '
+                            f'for {what}: take that, or a {name} '
+                            f'{(scene.step / longest)**power:.3g} times as large', longest)

@@ -37,6 +37,14 @@ class ParameterError(ValueError):
     """A value that breaks a rule; the text states name, value and rule."""
 
 
+class StepError(ParameterError):
+    """A step that is too long for other values; one of `longest` [s] is not."""
+
+    def __init__(self, text: str, longest: float) -> None:
+        super().__init__(text)
+        self.longest = longest
+
+
 class ModelWarning(UserWarning):
     """A scene or a run for which the model may not hold; the text says why, and what to do."""
 
