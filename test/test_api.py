@@ -226,7 +226,9 @@ IMPLAUSIBLE = [
       'arm.profile.shear_modulus': [5e10, 2e9]}, 'shear_modulus = 2e.09 Pa is above'),
     ({'hub.radius': 40.0}, 'a length of 40 m is more than 30 m'),
     ({'arm.section': {'shape': 'tube', 'width': 0.016, 'wall': 0.0015}},
-     r'width = 0.016 m is not used: the diameter is .*height = 0.02 m \(the default\)')
+     r'width = 0.016 m is not used: the diameter is .*height = 0.02 m \(the default\)'),
+    ({'motor.coulomb_friction': 1.0, 'motor.coulomb_speed': 0.5, 'motor.coulomb_presliding': 0.2},
+     'motor.coulomb_speed = 0.5 is not used, since motor.coulomb_rest = 1')
 ]
 
 

@@ -98,6 +98,14 @@ def test_friction_that_builds_up_over_another_speed_is_friction_near_rest(assume
     assert found.suspects[0].name == 'another friction of the motor near rest'
 
 
+def test_a_shaft_that_rests_as_on_a_spring_has_presliding():
+    dry = {'motor.coulomb_friction': 0.06, 'motor.coulomb_speed': 0.2}
+    measured = record({**dry, 'motor.coulomb_presliding': 0.02, 'motor.coulomb_rest': 0.6})
+    found = fit(measured, [*FREE, 'motor.coulomb_friction'], more=dry)
+    assert found.suspects[0].name.startswith('presliding of the motor'), found.suspects
+    assert found.suspects[0].share > 0.9
+
+
 def test_inputs_whose_rates_are_limited_are_not_limited_again():
     measured = record({'motor.coulomb_friction': 0.03})
     measured.inputs['torque'] = measured.inputs.pop('voltage')._replace(values=GAIN * VOLTAGE)

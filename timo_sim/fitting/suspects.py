@@ -29,6 +29,7 @@ from timo_sim.scene.parameters import ParameterError, PARAMETERS
 
 _FRICTION = 0.01, 0.1, 1.0  # sizes that are tried, of the force that accelerates the free body
 _ASYMMETRY = 0.2
+_PRESLIDING, _LEAST = 0.2, 0.1  # way over `coulomb_speed` [s], and least factor of it
 _BACKLASH = 0.003, 0.01, 0.03  # [rad]
 _GRAVITY = 0.5, 5.0  # [m/s2]
 _DELAYS = 1, 5  # steps
@@ -218,6 +219,13 @@ def _effects(search: Search) -> Iterator[_Effect]:
                 f'another friction of the {body} near rest', f'set {rest}, and free it',
                 lambda own, size, name=rest: {name: own[name] * np.exp(size) or size},
                 *([[[1.0]], both] if own[rest] else [[[part * speed] for part in _REST]]))
+        if own[name] and own[rest] and not own[way := f'{body}.coulomb_presliding']:
+            yield _Effect(
+                f'presliding of the {body}, which rests as on a spring',
+                f'set {way} to about {{:.2g}} and {body}.coulomb_rest to 0.5, and free both',
+                lambda _, size, part=0.5, name=way: {
+                    name: size, name.replace('presliding', 'rest'): part} if size else {},
+                [[_PRESLIDING * own[rest]]], _LEAST, [0.5])
     for name in (name for name in PARAMETERS if name.endswith('.coulomb_asymmetry')):
         if own[name.replace('asymmetry', 'friction')] and not own[name]:
             yield _Effect('friction that depends on the direction',
@@ -258,12 +266,15 @@ def _gear(own, compliance, damping=0.1, inertias=1.0):
     after, turns = own['motor.shaft_inertia'] / (1.0 + inertias), own['motor.dc.gear_ratio']
     before = inertias * after
     mean = before / (1.0 + inertias)
-    return {'motor.shaft_inertia': after, 'motor.rotor.inertia': before / turns**2,
-            'motor.gear.stiffness': 1.0 / compliance,
-            'motor.gear.damping': 2.0 * damping * np.sqrt(mean / compliance),
-            'motor.coulomb_friction': 0.0, 'motor.coulomb_speed': 0.0,
-            'motor.rotor.coulomb_friction': own['motor.coulomb_friction'] / turns,
-            'motor.rotor.coulomb_speed': turns * own['motor.coulomb_speed']}
+    changes = {'motor.shaft_inertia': after, 'motor.rotor.inertia': before / turns**2,
+               'motor.gear.stiffness': 1.0 / compliance,
+               'motor.gear.damping': 2.0 * damping * np.sqrt(mean / compliance)}
+    for name, factor in (('friction', 1.0 / turns), ('speed', turns), ('presliding', turns),
+                         ('asymmetry', 1.0), ('rest', 1.0)):  # it goes to the rotor
+        shaft = f'motor.coulomb_{name}'
+        changes |= {shaft: PARAMETERS[shaft].default,
+                    f'motor.rotor.coulomb_{name}': factor * own[shaft]}
+    return changes
 
 
 def _resonances(search, size):

@@ -663,6 +663,10 @@ def find_implausible(values: Mapping[str, Any]) -> str | None:
             PARAMETERS['arm.section.width'].default):
         found.append(f'{shown("arm.section.width")} is not used: the diameter is '
                      f'{shown("arm.section.height")}')
+    for body in ('carrier', 'motor', 'motor.rotor'):
+        speed, way, rest = (f'{body}.coulomb_{name}' for name in ('speed', 'presliding', 'rest'))
+        if values[speed] and values[way] and values[rest] == 1.0:
+            found.append(f'{speed} = {values[speed]:g} is not used, since {rest} = 1')
     mass, inertia = values['end_effector.mass'], values['end_effector.inertia']
     if inertia > mass * (0.5 * values['arm.length'])**2 and (mass or inertia == PARAMETERS[
             'end_effector.inertia'].default):
