@@ -199,11 +199,21 @@ class Manipulator:
     coulomb: tuple = 3 * ((0.0, 1.0, 0.0),)
     hub_radius: float = 0.0  # from the shaft's axis to the root of the arm, r_h [m]
     gear: Gear | None = None  # None: the rotor is part of the shaft
+    # At most one row, of a DC motor with a limit of its current, seen from the shaft: the largest
+    # torque [N m], and the viscous friction by its back-EMF [N m s/rad] (T66).
+    motor_limit: tuple = ()
 
     @property
     def base_mass(self) -> float:
         """Mass at the root of the arm, m_c + m_m [kg]."""
         return self.carrier_mass + self.motor_mass
+
+    def limited(self, torque: Any, speed: Any) -> Any:
+        """Return a torque of loads [N m] at a speed of the motor, within its limit (T66)."""
+        for limit, back_emf in self.motor_limit:
+            wanted = torque - back_emf * speed
+            torque = torque - (wanted - np.clip(wanted, -limit, limit))
+        return torque
 
     def inertia(self, quadrature: 'Quadrature') -> tuple[np.ndarray, np.ndarray]:
         """

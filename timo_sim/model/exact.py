@@ -93,7 +93,8 @@ class Exact(Formulation):
         tables = Tables(
             self.mass, kernel if one_axis else kernel[:1], to_centre, rotation.T, shear.T, rotary,
             np.empty((0, 0)), damping, self.manipulator.carrier_friction,
-            np.array(self.manipulator.coulomb), self.axes, self.held_position,
+            np.array(self.manipulator.coulomb), np.reshape(self.manipulator.motor_limit, (-1, 2)),
+            self.axes, self.held_position,
             self.points.integral[:, -1], at_points[-1], self.mass * self.gravity, push,
             self._stretch[len(self._stretch) - self.axial:], np.append(0.0, modes.omega**2),
             np.empty((0, 2, 0)), -1, 0.0, np.empty((0, 0)), gear)
@@ -240,7 +241,8 @@ class Exact(Formulation):
         # to 1e-8.
         model = copy(self)
         model.packed = model.pack(self.tables._replace(
-            coulomb=np.zeros((3, 3)), gear=self.tables.gear * [1.0, 1.0, 0.0]))
+            coulomb=np.zeros((3, 3)), motor_limit=self.tables.motor_limit * [1.0, 0.0],
+            gear=self.tables.gear * [1.0, 1.0, 0.0]))
         motion, load = np.zeros(self.size), np.zeros(LOADS)
         motion[2] = load[ANGLE] = angle
         motion[self.size // 2 + 2] = load[SPEED] = speed

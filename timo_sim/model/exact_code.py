@@ -24,7 +24,7 @@ from timo_sim.model import functions
 from timo_sim.model.functions import sincos
 from timo_sim.model.layout import (
     ACCELERATION, ANGLE, FORCE_I, FORCE_II, FORCE_X, FORCE_Y, PUSH_X, PUSH_Y, SHAFT_FRICTION,
-    SPEED, TIP_I, TIP_II, TIP_TORQUE, TIP_X, TIP_Y, TORQUE)
+    SPEED, TIP_I, TIP_II, TIP_TORQUE, TIP_X, TIP_Y)
 
 
 class Tables(NamedTuple):
@@ -35,8 +35,9 @@ class Tables(NamedTuple):
     `rates` in place of momenta in the state (T35); n_g `nodes`, the last of which is that of a hub
     if there is one (T50). `gears` is 1 if the gear is elastic, else 0; its coordinate precedes
     the axial ones. `kernels` is 2, or 1 if that for x holds for y, too; `axes` counts those along
-    which the carrier is free, `pushes` is 1 if a force may act on the arm, else 0; `turning` is
-    the length of the state for an arm that stretches with one axis of the carrier held, else 0.
+    which the carrier is free, `pushes` is 1 if a force may act on the arm, else 0, and `limits` if
+    the motor's current has a limit; `turning` is the length of the state for an arm that stretches
+    with one axis of the carrier held, else 0.
     """
 
     mass: float  # m_t
@@ -51,6 +52,7 @@ class Tables(NamedTuple):
     damping: Annotated[np.ndarray, 'coordinates']       # c_s, then 2 zeta_i omega_i
     carrier_friction: float                             # c_c
     coulomb: Annotated[np.ndarray, 3, 3]                # `Manipulator.coulomb`
+    motor_limit: Annotated[np.ndarray, 'limits', 2]     # `Manipulator.motor_limit`
     axes: Annotated[np.ndarray, int, 'axes']            # axes along which the carrier is free
     held_position: Annotated[np.ndarray, 2]             # of a carrier that is held
     to_tip: Annotated[np.ndarray, 'padded_nodes']       # D_l, from slopes to the tip
@@ -390,11 +392,11 @@ def _gear_place(tables):
 @inner
 def _rotor_torque(tables, load, speed):
     """Return the torque on the rotor less its friction."""
-    torque = load[TORQUE]
+    turning, friction = speed[0], -0.0
     for n in range(len(tables.gear)):
-        turning = speed[0] + tables.gear[n, PER_COORDINATE] * speed[_gear_place(tables)]
-        torque -= tables.gear[n, DRAG] * turning + functions.coulomb(tables, 2, turning)
-    return torque
+        turning += tables.gear[n, PER_COORDINATE] * speed[_gear_place(tables)]
+        friction = tables.gear[n, DRAG] * turning + functions.coulomb(tables, 2, turning)
+    return functions.motor_torque(tables, load, turning) - friction
 
 
 @inner

@@ -231,6 +231,7 @@ def _differential(tables, inputs, point, load, rate):
             out[k, d] = 0.0  # as in `rate`, X' = P / m_t is in the linear part
         copy(push_x if tables.axes[k] == 0 else push_y, out[half + k])
     slope = functions.coulomb_slope(tables, 1, work.speed[0])
+    limited = functions.is_limited(tables, load, work.speed[0])
     for i in range(driven, count):
         copy(speed[i], by_speed)
         for k in range(driven, count):
@@ -242,6 +243,9 @@ def _differential(tables, inputs, point, load, rate):
                         - tables.damping[i] * by_speed[d])
             if i == 0:
                 total[d] += loads[TORQUE, d] - slope * speed[0, d]
+                for n in range(len(tables.motor_limit)):
+                    total[d] -= limited * (
+                        loads[TORQUE, d] - tables.motor_limit[n, 1] * speed[0, d])
         for n in range(len(tables.push)):
             add_multiple(var.arm[0, i], loads[PUSH_X], total)
             add_multiple(var.arm[1, i], loads[PUSH_Y], total)

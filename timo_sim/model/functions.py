@@ -17,7 +17,7 @@ from timo_sim.compiled.constants import local_arrays
 from timo_sim.compiled.entry import entry_point
 from timo_sim.compiled.functions import (
     Array, Constants, declare, floor, inner, magnitude, some, strict, where)
-from timo_sim.model.layout import ACCELERATION, ANGLE, LOADS, SPEED
+from timo_sim.model.layout import ACCELERATION, ANGLE, LOADS, MOTOR_FRICTION, SPEED, TORQUE
 
 
 @declare
@@ -66,6 +66,28 @@ def coulomb_slope(tables, joint, speed):
         slope = tables.coulomb[joint, 0] / tables.coulomb[joint, 1] * (1.0 - share * share) * (
             1.0 + 2.0 * tables.coulomb[joint, 2] * share)
     return slope
+
+
+@strict
+def motor_torque(tables, load, speed):
+    """Return the torque where the motor acts, which turns at a speed, less dry friction (T66)."""
+    torque = load[TORQUE]
+    for n in range(len(tables.motor_limit)):
+        limit = tables.motor_limit[n, 0]
+        wanted = load[TORQUE] - tables.motor_limit[n, 1] * speed
+        torque -= where(wanted > limit, wanted - limit,
+                        where(wanted < -limit, wanted + limit, 0.0))
+    return torque + load[MOTOR_FRICTION]
+
+
+@inner
+def is_limited(tables, load, speed):
+    """Return 1 where the current of the motor is at its limit, else 0."""
+    found = 0.0
+    for n in range(len(tables.motor_limit)):
+        wanted = load[TORQUE] - tables.motor_limit[n, 1] * speed
+        found = where(magnitude(wanted) > tables.motor_limit[n, 0], 1.0, 0.0)
+    return found
 
 
 @declare

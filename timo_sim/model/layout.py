@@ -84,11 +84,12 @@ INPUTS = (
     Input('push_y', 'N', 'force on the arm at push.position along world y', 'push',
           needs='push.position'),
     Input('shaft_friction', 'N m', 'friction on the shaft of an elastic gear, by its bristle'),
+    Input('motor_friction', 'N m', 'dry friction where the torque acts, on shaft or rotor'),
 )
 LOADS = len(INPUTS)
 (FORCE_X, FORCE_Y, FORCE_I, FORCE_II, TORQUE, TIP_X, TIP_Y, TIP_I, TIP_II, TIP_TORQUE,
  ANGLE, SPEED, ACCELERATION, VOLTAGE, PUSH_X, PUSH_Y, SHAFT_FRICTION,
- *_) = range(LOADS)
+ MOTOR_FRICTION, *_) = range(LOADS)
 # Rows of the loads of a step: three that its stages see, then the true load at its end.
 START, MIDDLE, END, AFTER = range(4)
 STAGES, STEP_LOADS = 3, 4

@@ -49,7 +49,7 @@ from timo_sim.model.formulation import Formulation, Points
 from timo_sim.model.functions import sincos
 from timo_sim.model.layout import (
     ACCELERATION, ANGLE, FORCE_I, FORCE_II, FORCE_X, FORCE_Y, PUSH_X, PUSH_Y, rotate, SPEED,
-    TIP_I, TIP_II, TIP_TORQUE, TIP_X, TIP_Y, TORQUE)
+    TIP_I, TIP_II, TIP_TORQUE, TIP_X, TIP_Y)
 
 
 class Laws(NamedTuple):
@@ -150,7 +150,8 @@ class Newton(Formulation):
             mass_across, per_stress[0], shear_per_stress, linear_beta, laws.softening,
             laws.shear_row, laws.shear_softening, laws.axial, stiffness, damping,
             np.array([self.manipulator.carrier_friction, self.manipulator.shaft_friction]),
-            np.array(self.manipulator.coulomb), self.axes, self.held_position,
+            np.array(self.manipulator.coulomb), np.reshape(self.manipulator.motor_limit, (-1, 2)),
+            self.axes, self.held_position,
             lever[-1], laws.tip_share,
             deflection[:, -1], rotation[:, -1], self.gravity,
             self.push_point.lever[0] if self.push_point else 0.0,
@@ -265,7 +266,8 @@ class Tables(NamedTuple):
     Constants of the compiled functions, from `newton.Laws`.
 
     Sizes: N `modes`, 1 + N `coordinates`, of which n are `free`; `axes` along which the carrier is
-    free; `pushes` is 1 if a force may act on the arm, else 0.
+    free; `pushes` is 1 if a force may act on the arm, else 0, and `limits` if the motor's current
+    has a limit.
     """
 
     base_mass: float     # m_c + m_m
@@ -286,6 +288,7 @@ class Tables(NamedTuple):
     damping: Annotated[np.ndarray, 'modes']                # 2 zeta_n omega_n
     viscous_friction: Annotated[np.ndarray, 2]             # c_c of the carrier, c_s of the shaft
     coulomb: Annotated[np.ndarray, 3, 3]                   # `Manipulator.coulomb`
+    motor_limit: Annotated[np.ndarray, 'limits', 2]        # `Manipulator.motor_limit`
     axes: Annotated[np.ndarray, int, 'axes']               # axes along which the carrier is free
     held_position: Annotated[np.ndarray, 2]                # of a carrier that is held
     length: float        # r_h + l
@@ -362,7 +365,8 @@ def _set_z_0(tables, q, theta_rate, load, tip_2, push_2, moment, force, z):
                         + tables.tip_rotation[i - 1] * load[TIP_TORQUE]
                         + _push_on_mode(tables, i - 1, push_2))
         else:
-            force[i] = load[TORQUE] - _resistance(tables, 1, theta_rate) + moment
+            force[i] = (functions.motor_torque(tables, load, theta_rate)
+                        - _resistance(tables, 1, theta_rate) + moment)
         for n in range(count):
             force[i] += theta_rate * theta_rate * softening[i, n] * q[n]
         if driven:

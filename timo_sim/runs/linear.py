@@ -7,6 +7,7 @@ from __future__ import annotations
 
 from collections.abc import Sequence
 from dataclasses import dataclass, replace
+import math
 from typing import Any
 
 import numpy as np
@@ -200,11 +201,13 @@ def linearize(scene: SceneLike, at: np.ndarray | None = None) -> LinearModel:
 
     """
     scene = load_scene(scene)
-    formulation = scene.build()
     at = scene.initial_motion() if at is None else np.array(at, dtype=float)
-    half = formulation.size // 2
+    half = len(at) // 2
     load = scene.load_at_start() if scene.values['initial.equilibrium'] else np.zeros(LOADS)
     load[ANGLE] = at[2]
+    # Small changes about an equilibrium do not reach the limit of the motor's current.
+    scene = scene.vary({'motor.dc.current_limit': math.inf})
+    formulation = scene.build()
     state = formulation.state(at)
     moving, rate = at[half:], np.abs(formulation.rate(state, load))
     round_off = _MAX_RATE * (1.0 + np.abs(formulation.linear) @ np.abs(state))

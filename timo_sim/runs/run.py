@@ -159,7 +159,8 @@ class Run(MotionFields, PointsOfArm):
         if self.recording is not None:
             joints = self.recording.read('joint_states')['joint_states']
             return joints.values[np.searchsorted(joints.ns, np.rint(self.t * 1e9)), 6:9]
-        effort, constrained = applied(self.loads(), self.shaft), self.model.constrained
+        effort = applied(self.model, self.values, self.loads())
+        constrained = self.model.constrained
         if not constrained.any():
             return effort
         return np.where(constrained, self._of_joints('reactions'), effort)

@@ -328,6 +328,9 @@ _ALL = [
               'inertia of the rotor, times its square, is part of motor.shaft_inertia unless the '
               'gear is elastic'),
     _limit('motor.dc.voltage_limit', 'V', 'largest voltage that commands can apply'),
+    _positive('motor.dc.current_limit', math.inf, 'A', 'largest current of the motor of a free '
+              'shaft; it limits the torque of commands and loads, less that of the back-EMF; '
+              '.inf: no limit', finite=False),
     Parameter('motor.shaft', 'free', '', 'free: turned by the torque; locked at initial.shaft; '
               'driven along motor.drive', choices=('free', 'locked', 'driven')),
     _not_negative('motor.drive.time', (), 's', 'times of the points of a driven shaft, from 0 on; '

@@ -387,7 +387,17 @@ def manipulator_of(values: Mapping[str, Any]) -> Manipulator:
             elastic, values['motor.gear.damping'], values['motor.gear.backlash'],
             turns**2 * values['motor.rotor.inertia'],
             turns**2 * values['motor.rotor.viscous_friction'] + motor_constants(values)[1])
-        if elastic else None)
+        if elastic else None, _motor_limit(values))
+
+
+def _motor_limit(values):
+    current, constant = values['motor.dc.current_limit'], values['motor.dc.torque_constant']
+    if current == math.inf or values['motor.shaft'] != 'free':
+        return ()
+    if not constant:
+        raise ParameterError('motor.dc.torque_constant must be > 0 N m/A with '
+                             f'motor.dc.current_limit = {current:g} A, got {constant}')
+    return (values['motor.dc.gear_ratio'] * constant * current, motor_constants(values)[1]),
 
 
 @lru_cache(maxsize=4 * len(_TERM_NAMES))

@@ -331,6 +331,7 @@ def lane_size(scene: Scene) -> dict[str, Any]:
         'carrier.held', 'motor.shaft')},
         **{f'{name} > 0': values[name] > 0.0 for name in (
             'push.position', 'hub.radius', 'motor.gear.stiffness')},
+        'motor.dc.current_limit < .inf': bool(scene.manipulator.motor_limit),
         'the number of nodes': len(scene.build().quadrature.nodes)}
 
 

@@ -14,7 +14,7 @@ import numpy as np
 
 from timo_sim.model.formulation import Formulation
 from timo_sim.model.layout import (
-    FORCE_I, FORCE_II, FORCE_X, FORCE_Y, LOADS, Motion, place, rotate, TORQUE)
+    FORCE_I, FORCE_II, FORCE_X, FORCE_Y, LOADS, Motion, MOTOR_FRICTION, place, rotate, TORQUE)
 from timo_sim.scene.scene import Scene
 from timo_sim.steps.bristles import COLUMNS
 from timo_sim.topics.outputs import NANOSECONDS, SENSORS
@@ -25,10 +25,12 @@ _COLUMNS = list(COLUMNS)
 _STILL, _SWEEPS, _SETTLED = 1e-7, 200, 1e-14
 
 
-def applied(loads: np.ndarray, theta: np.ndarray) -> np.ndarray:
-    """Return carrier forces [N] and shaft torque [N m] of loads, (n, LOADS), shape (n, 3)."""
-    x, y = rotate(theta, loads[:, FORCE_I], loads[:, FORCE_II])
-    return np.column_stack([loads[:, FORCE_X] + x, loads[:, FORCE_Y] + y, loads[:, TORQUE]])
+def applied(model: Formulation, motions: np.ndarray, loads: np.ndarray) -> np.ndarray:
+    """Return carrier forces [N] and motor torque [N m] of loads in n motions, shape (n, 3)."""
+    x, y = rotate(motions[:, 2], loads[:, FORCE_I], loads[:, FORCE_II])
+    torque = model.manipulator.limited(
+        loads[:, TORQUE], motions[:, len(model.rotor):] @ model.rotor) + loads[:, MOTOR_FRICTION]
+    return np.column_stack([loads[:, FORCE_X] + x, loads[:, FORCE_Y] + y, torque])
 
 
 class Joints:
@@ -43,7 +45,7 @@ class Joints:
                  loads: np.ndarray, tip: np.ndarray | None = None) -> None:
         self.model, self.motions, self._loads, self._tip = model, motions, loads, tip
         self._accelerations = accelerations
-        self._applied = applied(loads, motions[:, 2])
+        self._applied = applied(model, motions, loads)
 
     @cached_property
     def _needed(self):
@@ -272,8 +274,10 @@ class Snapshot:
         For a free joint those of commands and loads, for others those that hold or drive it.
         """
         load = self._load
+        torque = self.model.manipulator.limited(
+            load[TORQUE], self.motion[self._half:] @ self.model.rotor)
         effort = (*place(load[FORCE_X], load[FORCE_Y], self._values[2], load[FORCE_I],
-                         load[FORCE_II]), load[TORQUE])
+                         load[FORCE_II]), float(torque))
         constrained = self.model.constrained
         if self._acts is None or not constrained.any():
             return effort

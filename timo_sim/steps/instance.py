@@ -16,9 +16,9 @@ import numpy as np
 from timo_sim.compiled.entry import entry_point
 from timo_sim.compiled.functions import Array, Constants, floor, square_root, strict, WIDTH
 from timo_sim.model.functions import (
-    accelerate, copy, effort, energy, linear_part_is_valid, sincos, tanh)
+    accelerate, copy, effort, energy, linear_part_is_valid, motor_torque, sincos, tanh)
 from timo_sim.model.layout import (
-    AFTER, FORCE_I, FORCE_II, FORCE_X, FORCE_Y, LOADS, START, STEP_LOADS, TORQUE)
+    AFTER, FORCE_I, FORCE_II, FORCE_X, FORCE_Y, LOADS, START, STEP_LOADS)
 from timo_sim.steps.bristles import BRISTLES, COLUMNS, MEMORY
 from timo_sim.steps.loads import add_commands, add_scene_loads, restart
 
@@ -258,15 +258,17 @@ def set_forces(tables, plant, instance):
     sine, cosine = sincos(motion[2])
     out[16] = load[FORCE_X] + cosine * load[FORCE_I] - sine * load[FORCE_II]
     out[17] = load[FORCE_Y] + sine * load[FORCE_I] + cosine * load[FORCE_II]
-    out[18] = load[TORQUE]
+    speed = turning = motion[half + 2]
     for n in range(len(plant.rotor)):
+        turning = 0.0
         for i in range(half):
             root += plant.rotor[n, i] * accelerations[i]
+            turning += plant.rotor[n, i] / plant.rotor[n, 2] * motion[half + i]
+    out[18] = motor_torque(tables, load, turning)
     if plant.constrained[2] != 0 or len(plant.rotor) != 0:
         root -= needed[2]
     else:
-        speed = motion[half + 2]
-        root += plant.shaft_friction[0] * speed - instance.acting[TORQUE]
+        root += plant.shaft_friction[0] * speed - motor_torque(tables, instance.acting, speed)
         if plant.shaft_friction[1] != 0.0:
             share = tanh(speed / plant.shaft_friction[2])
             root += plant.shaft_friction[1] * share * (1.0 + plant.shaft_friction[3] * share)
