@@ -726,8 +726,10 @@ def number_of(name: str, scene: Scene, others: str = '',
         return parameter, value[place]
     if place is not None:
         raise ParameterError(f'{name} cannot be free: {base} is one number')
-    if not math.isfinite(value) or parameter.name.endswith('_limit'):
-        raise ParameterError(f'{name} cannot be free: it is a limit')
+    if parameter.runtime and not parameter.finite:
+        raise ParameterError(f'{name} cannot be free: it is a limit of commands')
+    if not math.isfinite(value):
+        raise ParameterError(f'{name} must be finite to be free, got {value}')
     return parameter, value
 
 
