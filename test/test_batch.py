@@ -34,6 +34,7 @@ SCENES = {
     'limits of rates': {'motor.torque_limit': 12.0, 'motor.torque_rate_limit': 170.0,
                         'carrier.force_rate_limit': 3e3},
     'DC motor': MOTOR,
+    'limited current': {**MOTOR, 'motor.dc.current_limit': 5.0, 'initial.shaft_velocity': 2.0},
     'a kink inside a step': {'load.torque.table.time': [0.0, 0.1234, 0.3],
                              'load.torque.table.value': [0.0, 60.0, -20.0]},
     'static mode': {'model.static_modes': 'torque', 'load.tip_torque.harmonic.amplitude': [9.0],

