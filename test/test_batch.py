@@ -162,6 +162,8 @@ def test_what_a_batch_cannot_do():
             ([{'model.modes': 4}, {'model.axial_modes': 1}], None, 'axial_modes must be the'),
             ([{}, {'integrator.step': 0.005}], None, 'integrator.step must be the same'),
             ([{}, HELD], None, 'carrier.held must be the same'),
+            ([MOTOR, {**MOTOR, 'motor.dc.current_limit': 5.0}], None,
+             'motor.dc.current_limit < .inf must be the same'),
             ([{'carrier.held': 'x'}], None, 'held = x with motor.shaft = free is not possible'),
             ([{'motor.coulomb_friction': 1.0}], None, 'friction without a coulomb_speed is not'),
             ([], None, 'at least one'), ('paper', 0, 'n must be .*, got 0'),

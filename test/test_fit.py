@@ -426,7 +426,7 @@ BAD_ARGUMENTS = [
     (dict(free='arm.length'), 'free must be a list of names'),
     (dict(free=[5]), r'free must be a list of names, got .5.'),
     (dict(free=['motor.coulomb_friction']), 'motor.coulomb_friction must be > 0 N m in the'),
-    (dict(free=['carrier.force_limit']), 'carrier.force_limit cannot be free: it is a limit of commands'),
+    (dict(free=['carrier.force_limit']), 'force_limit cannot be free: it is a limit of commands'),
     (dict(free=['arm.length'], bounds={'arm.length': (1.0, 2.0)}),
      'arm.length = 0.42 must be within its bounds, 1 to 2'),
     (dict(free=['arm.length'], bounds={'arm.length': (2.0, 1.0)}), 'two ascending numbers'),

@@ -276,6 +276,6 @@ def test_a_shaft_that_is_not_free_has_no_limit_and_a_limit_needs_the_torque_cons
     simulator = timo_sim.Simulator(scene)
     simulator.step(torque=100.0)
     assert simulator.snapshot().effort[2] == pytest.approx(-100.0, rel=1e-12)
-    with pytest.raises(timo_sim.ParameterError,
-                       match='torque_constant must be > 0 N m/A with motor.dc.current_limit = 2 A'):
+    with pytest.raises(timo_sim.ParameterError, match=(
+            'motor.dc.torque_constant must be > 0 N m/A with motor.dc.current_limit = 2 A')):
         timo_sim.load_scene({'motor.dc.current_limit': 2.0})

@@ -70,7 +70,7 @@ def coulomb_slope(tables, joint, speed):
 
 @strict
 def motor_torque(tables, load, speed):
-    """Return the torque where the motor acts, which turns at a speed, less dry friction (T66)."""
+    """Return the torque of loads where the motor acts, at its speed, and dry friction (T66)."""
     torque = load[TORQUE]
     for n in range(len(tables.motor_limit)):
         limit = tables.motor_limit[n, 0]
