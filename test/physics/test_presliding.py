@@ -11,7 +11,7 @@ import pytest
 from scipy.integrate import solve_ivp
 
 import timo_sim
-from timo_sim.model.layout import FORCE_X, FORCE_Y, LOADS, MOTOR_FRICTION, SHAFT_FRICTION, TORQUE
+from timo_sim.model.layout import FORCE_X, FORCE_Y, LOADS, SHAFT_FRICTION, TORQUE
 from timo_sim.simulation.simulator import Simulator
 from timo_sim.view.track import track_of_run
 
@@ -86,7 +86,7 @@ def by_events_of_scene(scene, until, times):
     model, half = simulator.model, simulator.model.size // 2
     joints = np.column_stack([model.driven_turns, np.eye(half)[2]])
     rows = np.flatnonzero(scene.bristles.any(axis=1))
-    columns = np.array([FORCE_X, FORCE_Y, MOTOR_FRICTION, SHAFT_FRICTION])[rows]
+    columns = np.array([FORCE_X, FORCE_Y, TORQUE, SHAFT_FRICTION])[rows]
 
     def places(state):
         motion = simulator.integration.motion(state, np.zeros(LOADS))

@@ -111,7 +111,7 @@ class _ArmOnShaft:
         scene = self._free.scene_of(values)
         applied = loads_of(self._free.record, scene, values).stages(
             0, len(run.t) - 1, run.scene.step)[::_EVERY, AFTER, TORQUE]
-        applied = scene.manipulator.limited(applied, terms[2])
+        applied = applied - scene.manipulator.excess(applied, terms[2])
         pairs = [(each, predicted[name][1]) for name, each in self._measured.items()]
         return pairs, applied, terms
 

@@ -208,12 +208,13 @@ class Manipulator:
         """Mass at the root of the arm, m_c + m_m [kg]."""
         return self.carrier_mass + self.motor_mass
 
-    def limited(self, torque: Any, speed: Any) -> Any:
-        """Return a torque of loads [N m] at a speed of the motor, within its limit (T66)."""
+    def excess(self, torque: Any, speed: Any) -> Any:
+        """Return what of a torque of loads [N m] a limit takes at a speed of the motor (T66)."""
+        excess = 0.0
         for limit, back_emf in self.motor_limit:
             wanted = torque - back_emf * speed
-            torque = torque - (wanted - np.clip(wanted, -limit, limit))
-        return torque
+            excess = wanted - np.clip(wanted, -limit, limit)
+        return excess
 
     def inertia(self, quadrature: 'Quadrature') -> tuple[np.ndarray, np.ndarray]:
         """

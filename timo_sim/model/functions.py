@@ -68,16 +68,16 @@ def coulomb_slope(tables, joint, speed):
     return slope
 
 
-@strict
+@inner
 def motor_torque(tables, load, speed):
     """Return the torque of loads where the motor acts, at its speed, and dry friction (T66)."""
     torque = load[TORQUE]
     for n in range(len(tables.motor_limit)):
         limit = tables.motor_limit[n, 0]
-        wanted = load[TORQUE] - tables.motor_limit[n, 1] * speed
+        wanted = load[TORQUE] - load[MOTOR_FRICTION] - tables.motor_limit[n, 1] * speed
         torque -= where(wanted > limit, wanted - limit,
                         where(wanted < -limit, wanted + limit, 0.0))
-    return torque + load[MOTOR_FRICTION]
+    return torque
 
 
 @inner

@@ -84,7 +84,7 @@ INPUTS = (
     Input('push_y', 'N', 'force on the arm at push.position along world y', 'push',
           needs='push.position'),
     Input('shaft_friction', 'N m', 'friction on the shaft of an elastic gear, by its bristle'),
-    Input('motor_friction', 'N m', 'dry friction where the torque acts, on shaft or rotor'),
+    Input('motor_friction', 'N m', 'what of the torque is dry friction of shaft or rotor'),
 )
 LOADS = len(INPUTS)
 (FORCE_X, FORCE_Y, FORCE_I, FORCE_II, TORQUE, TIP_X, TIP_Y, TIP_I, TIP_II, TIP_TORQUE,

@@ -14,12 +14,11 @@ import numpy as np
 
 from timo_sim.model.formulation import Formulation
 from timo_sim.model.layout import (
-    FORCE_I, FORCE_II, FORCE_X, FORCE_Y, LOADS, Motion, MOTOR_FRICTION, place, rotate, TORQUE)
+    FORCE_I, FORCE_II, FORCE_X, FORCE_Y, Motion, MOTOR_FRICTION, place, rotate, TORQUE)
 from timo_sim.scene.scene import Scene
-from timo_sim.steps.bristles import COLUMNS
+from timo_sim.steps.bristles import UNITS
 from timo_sim.topics.outputs import NANOSECONDS, SENSORS
 
-_COLUMNS = list(COLUMNS)
 # Speed of a joint below which Coulomb friction holds it [m/s, rad/s], doc/theory.md, section 8;
 # most sweeps over the joints that it holds, and their change, relative to it, that is round-off.
 _STILL, _SWEEPS, _SETTLED = 1e-7, 200, 1e-14
@@ -28,9 +27,10 @@ _STILL, _SWEEPS, _SETTLED = 1e-7, 200, 1e-14
 def applied(model: Formulation, motions: np.ndarray, loads: np.ndarray) -> np.ndarray:
     """Return carrier forces [N] and motor torque [N m] of loads in n motions, shape (n, 3)."""
     x, y = rotate(motions[:, 2], loads[:, FORCE_I], loads[:, FORCE_II])
-    torque = model.manipulator.limited(
-        loads[:, TORQUE], motions[:, len(model.rotor):] @ model.rotor) + loads[:, MOTOR_FRICTION]
-    return np.column_stack([loads[:, FORCE_X] + x, loads[:, FORCE_Y] + y, torque])
+    excess = model.manipulator.excess(loads[:, TORQUE] - loads[:, MOTOR_FRICTION],
+                                      motions[:, len(model.rotor):] @ model.rotor)
+    return np.column_stack([loads[:, FORCE_X] + x, loads[:, FORCE_Y] + y,
+                            loads[:, TORQUE] - excess])
 
 
 class Joints:
@@ -107,10 +107,10 @@ def joints_of_run(scene: Scene, model: Formulation, motions: np.ndarray,
     """
     limit, states, acting = scene.friction, model.state(motions), loads.copy()
     if limit.any():
-        acting[:, _COLUMNS[:3]] += _friction(
+        acting += _friction(
             lambda loads, rows: model.accelerations(
                 motions[rows], states[rows], loads)[0] @ model.driven_turns,
-            loads, motions[:, motions.shape[1] // 2:] @ model.driven_turns, limit)
+            loads, motions[:, motions.shape[1] // 2:] @ model.driven_turns, limit) @ UNITS[:3]
     accelerations, tip = model.accelerations(motions, states, acting)
     return Joints(model, motions, accelerations, acting, tip)
 
@@ -129,7 +129,7 @@ def add_bristles(scene: Scene, model: Formulation, motions: np.ndarray, loads: n
     for k, way in enumerate(np.diff(places, axis=0), 1):
         deflection = np.clip(deflection + way, -reach, reach)
         limit = np.where(deflection > 0.0, *scene.bristles[:, :2].T)
-        loads[k, _COLUMNS] -= limit * deflection / np.where(reach > 0.0, reach, 1.0)
+        loads[k] -= limit * deflection / np.where(reach > 0.0, reach, 1.0) @ UNITS
 
 
 def _friction(accelerate, loads, speed, limit):
@@ -138,13 +138,13 @@ def _friction(accelerate, loads, speed, limit):
     friction = np.where(still, 0.0, -limit * np.sign(speed))
     rows = np.flatnonzero(still.any(axis=1))
     loads, room = loads[rows], np.where(still, limit, 0.0)[rows]
-    loads[:, _COLUMNS[:3]] += friction[rows]
+    loads += friction[rows] @ UNITS[:3]
     free = accelerate(loads, rows)
     # Accelerations are linear in a load.
     joints = np.flatnonzero(limit)
     mobility = np.zeros((*free.shape, 3))
     for j in joints:
-        mobility[:, :, j] = accelerate(loads + np.eye(LOADS)[_COLUMNS[j]], rows) - free
+        mobility[:, :, j] = accelerate(loads + UNITS[j], rows) - free
     holding = np.zeros_like(free)
     for _ in range(_SWEEPS):
         before = holding.copy()
@@ -274,7 +274,7 @@ class Snapshot:
         For a free joint those of commands and loads, for others those that hold or drive it.
         """
         load = self._load
-        torque = self.model.manipulator.limited(
+        torque = load[TORQUE] - self.model.manipulator.excess(
             load[TORQUE], self.motion[self._half:] @ self.model.rotor)
         effort = (*place(load[FORCE_X], load[FORCE_Y], self._values[2], load[FORCE_I],
                          load[FORCE_II]), float(torque))

@@ -14,12 +14,16 @@ from typing import Annotated, NamedTuple
 import numpy as np
 
 from timo_sim.compiled.functions import inner, square_root
-from timo_sim.model.layout import FORCE_X, FORCE_Y, MOTOR_FRICTION, SHAFT_FRICTION, STAGES
+from timo_sim.model.layout import (
+    FORCE_X, FORCE_Y, LOADS, MOTOR_FRICTION, SHAFT_FRICTION, STAGES, TORQUE)
 
 # Columns of a load, by bristle: of carrier x, y, of the shaft or, with an elastic gear, the rotor,
 # and of the shaft of an elastic gear.
-COLUMNS = FORCE_X, FORCE_Y, MOTOR_FRICTION, SHAFT_FRICTION
+COLUMNS = FORCE_X, FORCE_Y, TORQUE, SHAFT_FRICTION
 BRISTLES = len(COLUMNS)
+# What one of the friction of each adds to a load, (BRISTLES, LOADS).
+UNITS = np.eye(LOADS)[list(COLUMNS)]
+UNITS[2, MOTOR_FRICTION] = 1.0
 # What steps hand on: dry friction by column at the end of the last step, the energy that it has
 # taken [J], deflections of bristles.
 HEAT, DEFLECTION = BRISTLES, BRISTLES + 1

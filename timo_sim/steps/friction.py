@@ -24,9 +24,10 @@ from timo_sim.compiled.entry import Call, entry_point
 from timo_sim.compiled.functions import Array, Constants, inner, local, square_root
 from timo_sim.model.formulation import Formulation
 from timo_sim.model.functions import copy, linear_part_is_valid, observe
-from timo_sim.model.layout import AFTER, LOADS, STAGES, STEP_LOADS
+from timo_sim.model.layout import AFTER, LOADS, MOTOR_FRICTION, STAGES, STEP_LOADS, TORQUE
 from timo_sim.steps.bristles import (
-    add_bristles, bend, Bristles, BRISTLES, COLUMNS, guess, HEAT, MEMORY, ROUNDS, start_bristles)
+    add_bristles, bend, Bristles, BRISTLES, COLUMNS, guess, HEAT, MEMORY, ROUNDS, start_bristles,
+    UNITS)
 from timo_sim.steps.etdrk4 import is_finite, one_step, Work
 from timo_sim.steps.steps import Steps
 
@@ -84,9 +85,7 @@ class FrictionSteps(Steps):
 
     def acting(self, load: np.ndarray) -> np.ndarray:
         """Return a load plus the friction at the end of the last step, shape (LOADS,)."""
-        load = load.copy()
-        load[list(COLUMNS)] += self.memory[:BRISTLES]
-        return load
+        return load + self.memory[:BRISTLES] @ UNITS
 
 
 def steps_of(model: Formulation, step: float, limit: np.ndarray, bristles: np.ndarray) -> Steps:
@@ -380,6 +379,8 @@ def advance(tables, propagator, joints, memory, state, load, loads, count, sampl
             for _ in range(ROUNDS):
                 _add_friction(loads[k], trial, pushed)
                 add_bristles(joints, bristles, pushed)
+                for j in range(STAGES):
+                    pushed[j, MOTOR_FRICTION] = pushed[j, TORQUE] - loads[k, j, TORQUE]
                 one_step(propagator, tables, pushed[0], pushed[1], pushed[2], work)
                 observe(tables, following, pushed[2], motion)
                 if bend(joints, motion, bristles):

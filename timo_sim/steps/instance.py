@@ -18,7 +18,7 @@ from timo_sim.compiled.functions import Array, Constants, floor, square_root, st
 from timo_sim.model.functions import (
     accelerate, copy, effort, energy, linear_part_is_valid, motor_torque, sincos, tanh)
 from timo_sim.model.layout import (
-    AFTER, FORCE_I, FORCE_II, FORCE_X, FORCE_Y, LOADS, START, STEP_LOADS)
+    AFTER, FORCE_I, FORCE_II, FORCE_X, FORCE_Y, LOADS, MOTOR_FRICTION, START, STEP_LOADS)
 from timo_sim.steps.bristles import BRISTLES, COLUMNS, MEMORY
 from timo_sim.steps.loads import add_commands, add_scene_loads, restart
 
@@ -238,6 +238,7 @@ def set_rates(tables, plant, instance):
     copy(instance.load, load)
     for i in range(BRISTLES):
         load[COLUMNS[i]] += instance.friction[i]
+    load[MOTOR_FRICTION] = instance.friction[2]
     x, y = accelerate(tables, plant, motion, state, load, instance.accelerations)
     x, y = x - plant.gravity[0], y - plant.gravity[1]
     sine, cosine = sincos(instance.place[2])
