@@ -319,6 +319,11 @@ def test_energy_balance_closes(run, paper):
     assert worst(run) < 1e-6
     driven = timo_sim.load_scene('spin_up')
     assert worst(timo_sim.simulate(driven, 10.0)) < 1e-6
+    # The torque acts on the rotor of an elastic gear, which turns ahead of the shaft.
+    geared = timo_sim.simulate(timo_sim.load_scene(paper, {
+        'motor.gear.stiffness': 500.0, 'motor.gear.damping': 1.0,
+        'motor.rotor.inertia': 0.5, 'motor.rotor.viscous_friction': 0.1}), 3.0, estimate=False)
+    assert worst(geared) < 1e-6
     # Loads that jump at a sample, with a harmonic one, and one that makes the drive's torque jump.
     for values in ({'load.force_x.table.time': [0.0, 0.5, 0.5, 1.5],
                     'load.force_x.table.value': [0.0, 20.0, -10.0, 5.0],

@@ -143,8 +143,9 @@ def track_of_motion(name: str, scene: Scene, ns: np.ndarray, motion: np.ndarray,
     if heat is not None and not pushed and not payloads:
         jumps = np.rint([time / scene.step for terms in scene.load.terms.values()
                          for term in terms for time in term.jumps()])
-        done = work(ns, motion[:, :3], motion[:, half:half + 3], effort,
-                    np.isin(steps, jumps)[:, np.newaxis])
+        position, velocity = (motion[:, part] @ formulation.driven_turns
+                              for part in (slice(half), slice(half, None)))
+        done = work(ns, position, velocity, effort, np.isin(steps, jumps)[:, np.newaxis])
         done -= integral(ns, _in_blocks(formulation.dissipation, motion)) + np.diff(heat)
         expected = stored[0] + np.append(0.0, np.cumsum(done))
         traces += [Trace('energy', ('energy', 'first energy + work - losses'), ns,
