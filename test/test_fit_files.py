@@ -330,6 +330,7 @@ def test_the_command_fits_and_writes_a_scene(tmp_path):
     arguments = ['fit', str(tmp_path / 'run.csv'), '--mapping', str(tmp_path / 'map.yaml'),
                  '--scene', 'paper', '--set', 'end_effector.mass=2.5', '--free',
                  'end_effector.mass', 'arm.young_modulus', '--bounds', 'end_effector.mass=1:4',
+                 'arm.young_modulus=1e10:1e12',
                  '--hold-out', '0.4', '-o', str(fitted), '--png', str(picture)]
     done = CliRunner().invoke(main, arguments)
     assert done.exit_code == 0, done.output

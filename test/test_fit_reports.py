@@ -106,6 +106,28 @@ def test_a_shaft_that_rests_as_on_a_spring_has_presliding():
     assert found.suspects[0].share > 0.9
 
 
+def test_offsets_and_starts_that_a_scene_lacks_are_suspects():
+    plain = record()
+    moved = timo_sim.Record.of(plain.inputs, {
+        name: channel._replace(values=channel.values + offset) for offset, (name, channel)
+        in zip((0.0, 0.01), plain.outputs.items())})
+    found = fit(moved)
+    assert found.suspects[0].name == 'an offset of tip_transverse' and found.suspects[0].white
+    assert not found.white and found.suspects[0].advice.endswith('about 0.01')
+    # Without gravity the arm does not show where its shaft begins.
+    found = fit(record({'initial.shaft': 0.5}))
+    assert not found.white and {each.name for each in found.suspects[:2]} == {
+        'an offset of shaft', 'another angle of the shaft at the beginning'}
+    assert any('0 + 0.5 rad' in each.advice for each in found.suspects[:2])
+
+
+def test_what_a_scene_does_not_hold_of_inputs_is_told():
+    found = fit(record(told=0.5 * VOLTAGE), [*FREE, 'voltage.gain'])
+    text, = (each for each in found.warnings if 'does not hold' in each)
+    gain = float(text.split('voltage.gain = ')[1].split(':')[0])
+    assert gain == pytest.approx(2.0, rel=0.05) and text in found.report()
+
+
 def test_inputs_whose_rates_are_limited_are_not_limited_again():
     measured = record({'motor.coulomb_friction': 0.03})
     measured.inputs['torque'] = measured.inputs.pop('voltage')._replace(values=GAIN * VOLTAGE)

@@ -51,13 +51,14 @@ class _Command(click.Command):
         super().__init__(name, **options)
 
     def parse_args(self, context, args):
-        """Read the command line; several values may follow one `--set`."""
-        given, follows = [], False
+        """Read the command line; several values may follow one `--set` or `--bounds`."""
+        given, option = [], ''
         for argument in args:
-            value = re.match(r'[\w.]+=', argument)
-            if follows and value and given[-1] != '--set':
-                given.append('--set')
-            follows = argument.startswith('--set') or follows and bool(value)
+            value = re.match(r'[\w.[\]]+=', argument)
+            if option and value and given[-1] != option:
+                given.append(option)
+            found = re.match('(--set|--bounds)(=|$)', argument)
+            option = found[1] if found else option if value else ''
             given.append(argument)
         return super().parse_args(context, given)
 
@@ -434,7 +435,8 @@ def sweep(file: str, output: str | None, workers: int | None, scheduler: str | N
 @click.option('--free', multiple=True, required=True, metavar='NAME [NAME]...', help=(
     'Parameters to be fitted: of the scene; QUANTITY.gain, .bias, .delay or .lag of an input or '
     'output; or initial for the whole initial state.'))
-@click.option('--bounds', multiple=True, metavar='NAME=LOW:HIGH', help='Bounds of one of them.')
+@click.option('--bounds', multiple=True, metavar='NAME=LOW:HIGH',
+              help='Bounds of one of them; several may follow.')
 @_settings
 @click.option('--mapping', type=_FILE, metavar='FILE', multiple=True, help=(
     'YAML file that says which column of a table is which quantity; one for all records, or one '

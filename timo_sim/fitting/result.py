@@ -576,11 +576,16 @@ def _predict(problem, values, initial, residuals):
 
 
 def _find_doubts(estimates, problem, values):
+    inputs = ', '.join(f'{name} = {value:.5g}' for name, value in values.items()
+                       if name.rpartition('.')[0] in problem.record.inputs)
+    if inputs:
+        yield (f'the fitted scene does not hold {inputs}: what acts on it is gain times the input '
+               'of the record plus bias, so much later, with this lag')
     at_bound = [name for name, each in estimates.items() if each.bound]
     if at_bound:
         yield f'at a bound, so that intervals do not hold: {", ".join(at_bound)}'
-    far = [name for name, each in estimates.items() if each.low > 0.0 and each.start > 0.0
-           and not 1.0 / _FAR < each.value / each.start < _FAR]
+    far = [free.name for free in problem.free if free.log
+           and not 1.0 / _FAR < values[free.name] / free.start < _FAR]
     if far:
         yield (f'{", ".join(far)}: more than {_FAR:g} times off the first guess: look at unit and '
                'scale of the columns')

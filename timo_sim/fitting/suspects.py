@@ -28,13 +28,14 @@ from timo_sim.runs.modes import modes
 from timo_sim.scene.parameters import ParameterError, PARAMETERS
 
 _FRICTION = 0.01, 0.1, 1.0  # sizes that are tried, of the force that accelerates the free body
-_ASYMMETRY = 0.2
+_ASYMMETRY, _MOST = 0.2, 0.99
 _PRESLIDING, _LEAST = 0.2, 0.1  # way over `coulomb_speed` [s], and least factor of it
 _BACKLASH = 0.003, 0.01, 0.03  # [rad]
 _GRAVITY = 0.5, 5.0  # [m/s2]
 _DELAYS = 1, 5  # steps
 _EXCESS = 0.1, 0.4, 1.0  # of the largest value of an input over its limit, relative to this
 _REST = 0.02, 0.1  # speeds over which friction builds up, of that of the body
+_FACTORS = -5.0, 5.0  # logarithms of factors of such a speed, to which they are tried
 _STIFF = 5.0  # compliance of a gear that is tried, in step**2 / inertia of the shaft
 _BESIDE = 0.1  # relative distance of a resonance from the modes of the model
 _RESONANCES, _DAMPING = 60, 0.02  # how many frequencies are tried, and their damping ratio
@@ -217,7 +218,8 @@ def _effects(search: Search) -> Iterator[_Effect]:
         elif force and rest not in values:
             yield _Effect(
                 f'another friction of the {body} near rest', f'set {rest}, and free it',
-                lambda own, size, name=rest: {name: own[name] * np.exp(size) or size},
+                lambda own, size, name=rest: {
+                    name: own[name] * np.exp(np.clip(size, *_FACTORS)) or size},
                 *([[[1.0]], both] if own[rest] else [[[part * speed] for part in _REST]]))
         if own[name] and own[rest] and not own[way := f'{body}.coulomb_presliding']:
             yield _Effect(
@@ -229,8 +231,9 @@ def _effects(search: Search) -> Iterator[_Effect]:
     for name in (name for name in PARAMETERS if name.endswith('.coulomb_asymmetry')):
         if own[name.replace('asymmetry', 'friction')] and not own[name]:
             yield _Effect('friction that depends on the direction',
-                          f'set {name} to about {{:.2g}}, and free it',
-                          lambda _, size, name=name: {name: size}, [[_ASYMMETRY]], both)
+                          f'set {name}, and free it',
+                          lambda _, size, name=name: {name: np.clip(size, -_MOST, _MOST)},
+                          [[_ASYMMETRY]], both)
     if own['motor.shaft'] == 'free' and not own['motor.gear.backlash']:
         stiff = _STIFF / own['motor.shaft_inertia'] * step**2
         if not own['motor.gear.stiffness']:
@@ -241,14 +244,24 @@ def _effects(search: Search) -> Iterator[_Effect]:
             lambda own, size: {**({} if own['motor.gear.stiffness'] else _gear(own, stiff)),
                                'motor.gear.backlash': size}, [[play] for play in _BACKLASH])
     if not any(own['gravity']):
-        yield _Effect('gravity, as of a tilted plane', 'set gravity',
+        yield _Effect('gravity, as of a tilted plane', 'free gravity[0] and gravity[1]',
                       lambda _, x, y: {'gravity[0]': x, 'gravity[1]': y},
                       [[size, size] for size in _GRAVITY], both)
     for name in (*problem.record.inputs, *problem.record.outputs):
         if f'{name}.delay' not in values:
             yield _Effect(f'a delay of {name}', f'free {name}.delay, about {{:.2g}} s',
                           lambda _, size, name=f'{name}.delay': {name: size},
-                          [[count * step] for count in _DELAYS], both)
+                          [[count * step] for count in _DELAYS])
+    for name, channel in problem.record.outputs.items():
+        if f'{name}.bias' not in values:
+            yield _Effect(f'an offset of {name}', f'free {name}.bias, about {{:.2g}}',
+                          lambda _, size, name=f'{name}.bias': {name: size},
+                          [[np.std(channel.values)]], both)
+    if own['motor.shaft'] == 'free' and not window.names and 'initial.shaft' not in values:
+        yield _Effect('another angle of the shaft at the beginning',
+                      f'free initial.shaft, about {own["initial.shaft"]:.2g} + {{:.2g}} rad',
+                      lambda own, size: {'initial.shaft': own['initial.shaft'] + size},
+                      [[0.1]], both)
     for each in INPUTS:
         if each.name in problem.record.inputs and each.limit and not np.isfinite(own[each.limit]):
             most = np.abs(problem.record.inputs[each.name].values).max()
