@@ -28,7 +28,7 @@ _FIRST_DEVIATION = 0.1  # first standard deviation, relative to that of an outpu
 # Relative changes of the sum of squares and of x at which a search ends, its most evaluations,
 # since a jagged sum never settles, and its step of differences. A wide one does not see how dry
 # friction makes the sum jagged. Starts are only tried: the best one is followed.
-_TRY, _LOOSE, _TIGHT = (1e-2, 1e-4, 12, 1e-3), (1e-4, 1e-4, 30, 1e-3), (1e-7, 1e-7, 30, 1e-6)
+_TRY, _LOOSE, _TIGHT = (1e-2, 1e-4, 12, 1e-3), (1e-4, 1e-4, 60, 1e-3), (1e-7, 1e-7, 60, 1e-6)
 _MAX_KNOWN = 4  # residuals that are kept, since searches ask for some again
 _MAX_SEARCHES = 6  # most searches with standard deviations from the one before
 _SETTLED_CHANGE = 0.01  # relative change of standard deviations that counts as none
