@@ -579,8 +579,8 @@ def _find_doubts(estimates, problem, values):
     inputs = ', '.join(f'{name} = {value:.5g}' for name, value in values.items()
                        if name.rpartition('.')[0] in problem.record.inputs)
     if inputs:
-        yield (f'the fitted scene does not hold {inputs}: what acts on it is gain times the input '
-               'of the record plus bias, so much later, with this lag')
+        yield (f'the fitted scene does not hold {inputs}: multiply an input by its gain, add its '
+               'bias and delay it before you give it to the scene')
     at_bound = [name for name, each in estimates.items() if each.bound]
     if at_bound:
         yield f'at a bound, so that intervals do not hold: {", ".join(at_bound)}'
