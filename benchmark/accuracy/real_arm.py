@@ -24,6 +24,7 @@ from scipy.optimize import least_squares
 from scipy.signal import lfilter, savgol_filter
 
 from benchmark import ROOT
+from benchmark.accuracy.clock import LONG, mend, pauses, SAMPLE
 from benchmark.report import make_page, table
 import timo_sim
 from timo_sim.fitting.problem import r_squared
@@ -85,8 +86,8 @@ CASES = [
     Case('prague', 'Prague', 'quanser-2-dof-serial-flexible-link/software/quanser_updated/'
          'lqr_full_10deg.mat', 'prague_columns.yaml', 'prague.yaml',
          more=('end_effector.inertia', 'tip_torque.gain'), gear=100.0),
-    Case('delft', 'Delft', 'flexible-beam-control/ResonanceDataChirp20.csv', 'delft_chirp20.yaml',
-         'delft.yaml', other=('flexible-beam-control/ResonanceDataChirp45.csv',
+    Case('delft', 'Delft', 'flexible-beam-control/ResonanceDataChirp20_clock.csv', 'delft_chirp20.yaml',
+         'delft.yaml', other=('flexible-beam-control/ResonanceDataChirp45_clock.csv',
                               'delft_chirp45.yaml')),
     Case('bratislava', 'Bratislava', 'AutomationShield/matlab/examples/LinkShield/resultID.mat',
          'bratislava_columns.yaml', 'bratislava.yaml',
@@ -161,12 +162,19 @@ def with_rotor(scene, ratio):
 
 
 def read(record, columns):
-    """Return the Record of a file in the folder of the data."""
-    return timo_sim.read_record(DATA / record, FILES / columns)
+    """Return the Record of a file in the folder of the data; a mended one is made."""
+    path = DATA / record
+    if path.stem.endswith('_clock') and not path.exists():
+        mend(path.with_stem(path.stem.removesuffix('_clock')))
+    return timo_sim.read_record(path, FILES / columns)
 
 
-def bounds_of(names, scene):
-    """Return bounds by name: delays are not early, and a first guess is right to FACTOR."""
+def bounds_of(names, scene, before=None):
+    """
+    Return bounds by name: delays are not early, and a first guess is right to FACTOR.
+
+    With a Fit before, they are (low, guess, high), where that did not end at a bound.
+    """
     found = {name: DELAYS for name in names if name.endswith('.delay')}
     for name in names:
         if name.endswith('.coulomb_rest'):
@@ -176,30 +184,38 @@ def bounds_of(names, scene):
         guess = guess[0] if isinstance(guess, tuple) else guess
         if guess > 0.0 and not name.startswith('initial.'):
             found[name] = guess / FACTOR, guess * FACTOR
+    if before:
+        search = before.posterior.search
+        for name, value in search.values(search.x, 0).items():
+            if name in names and not before.estimates[name].bound:
+                low, high = found.get(name, (-np.inf, np.inf))
+                found[name] = low, float(f'{value:.5g}'), high
     return found
 
 
 def fitted(case):
-    """Return the Fit of a case, its model's name, and by model R^2 of what chose it."""
+    """Return the Fit of a case, its model's name, its bounds, and by model R^2 of what chose it."""
     (record, _, until), *_ = parts_of(case)
-    scene, trials = timo_sim.load_scene(FILES / case.scene), {}
+    scene, trials, halves = timo_sim.load_scene(FILES / case.scene), {}, {}
 
-    def fit(name, part, hold_out, others=()):
+    def fit(name, part, hold_out, others=(), before=None):
         values, free = models_of(case, scene, part, (1.0 - hold_out) * part.duration)[name]
         start = scene.vary(values)
-        return timo_sim.fit(start, part, free, bounds_of(free, start), hold_out,
-                            hold_out_records=others)
+        bounds = bounds_of(free, start, before)
+        return timo_sim.fit(start, part, free, bounds, hold_out, hold_out_records=others,
+                            quick=part is not record), bounds
 
     models = [*models_of(case, scene, record, until)]
     if len(models) > 1:
         for name in models:
-            found = fit(name, record.cut(0.0, until), HOLD_OUT)
+            halves[name], _ = fit(name, record.cut(0.0, until), HOLD_OUT)
             trials[name] = {  # a record that rests there has no spread of its own
                 output: 1.0 - (each.hold_out_rms / SPREAD / record.outputs[output].noise)**2
-                for output, each in found.errors.items()}
+                for output, each in halves[name].errors.items()}
     chosen = max(models, key=lambda name: sum(trials.get(name, {}).values()))
     others = [read(*case.other)] if case.other else []
-    return fit(chosen, record, 0.0 if others else HOLD_OUT, others), chosen, trials
+    found, bounds = fit(chosen, record, 0.0 if others else HOLD_OUT, others, halves.get(chosen))
+    return found, chosen, bounds, trials
 
 
 def parts_of(case):
@@ -381,6 +397,16 @@ def friction(record):
     return np.abs(held[rests]).max(), np.linalg.lstsq(terms[moves], held[moves], rcond=None)[0][2]
 
 
+def cart(sweep):
+    """Return R^2 of an integral of the voltage for the cart of Delft, and its drift [m/s]."""
+    t, voltage, x, _ = np.loadtxt(DATA / sweep, delimiter=',', unpack=True)
+    first = np.flatnonzero(voltage < 0.0)[0]
+    way = np.cumsum(voltage[first:-1] * np.diff(t[first:]))
+    terms = np.column_stack([way, t[first + 1:], np.ones(len(way))])
+    (_, drift, _), left, *_ = np.linalg.lstsq(terms, x[first + 1:], rcond=None)
+    return 1.0 - left[0] / len(way) / np.var(x[first + 1:]), drift
+
+
 def missing(quick):
     """Return which model was chosen, and what records show of effects that are missing."""
     cases, rows = {case.name: case for case in CASES}, []
@@ -394,31 +420,32 @@ def missing(quick):
     up = np.flatnonzero((values[:-1] < 0.0) & (values[1:] >= 0.0))
     up = t[up] - values[up] * (t[up + 1] - t[up]) / (values[up + 1] - values[up])
     first, last = (1.0 / np.diff(part).mean() for part in np.array_split(up, 4)[::3])
-    swept = read(*cases['delft'].other)
-    steps = {name: np.abs(np.diff(channel.values))
-             for name, channel in {**swept.inputs, **swept.outputs}.items()}
-    jumps = np.flatnonzero(steps['tip_x'] > 4e-3)
-    ratio = {name: np.median(2.0 * step[jumps] / (step[jumps - 1] + step[jumps + 1]))
-             for name, step in steps.items()}
+    sweeps = [cases['delft'].record, cases['delft'].other[0]]
+    true, counted = (np.array([cart(name.replace('_clock', mended)) for name in sweeps])
+                     for mended in ('_clock', ''))
+    lost = pauses(np.loadtxt(DATA / sweeps[1], delimiter=',', usecols=2)) / SAMPLE
+    short, long = lost[(lost > 0.0) & (lost <= LONG)], lost[lost > LONG]
     rest, motion = friction(read(cases['prague'].record, cases['prague'].columns))
     return '\n\n'.join([
         table(['choice of the model', 'R^2 of', *MODELS], rows),
         f'Prague: the shaft rests under torques of up to {rest:.1f} N m; dry friction in motion, '
         f'faster than 0.5 rad/s, takes {motion:.1f} N m. '
-        f'Delft: the laser jumps by more than 4 mm in 1 ms {len(jumps)} times, mostly '
-        f'{1e-3 * np.median(np.diff(jumps)):.3f} s apart. In that millisecond the cart moves '
-        f'{ratio["carrier_x"]:.1f} times as far as in those before and after (median), and the '
-        f'voltage {ratio["force_x"]:.1f} times. Bratislava: the strip rings at {first:.2f} Hz in '
+        f'Delft: in the sweep that is held out the sampler pauses {len(short)} times for some '
+        f'{np.median(short):.1f} ms and {len(long)} times for some {np.median(long):.1f} ms, '
+        f'{SAMPLE * lost.sum():.1f} s in all. An integral of its voltage describes the cart with an '
+        f'R^2 of {true[1, 0]:.4f}, and of {counted[1, 0]:.4f} with the times as they are counted; '
+        f'beside it the cart drifts by {1e3 * true[1, 1]:.2f} mm/s, in the sweep that is fitted by '
+        f'{1e3 * true[0, 1]:.2f} mm/s. Bratislava: the strip rings at {first:.2f} Hz in '
         f'the first quarter and at {last:.2f} Hz in the last.'])
 
 
-def command_of(case, parts, chosen):
-    """Return the command line of a fit with the chosen model."""
+def command_of(case, parts, chosen, bounds):
+    """Return the command line of a fit with the chosen model and its bounds."""
     (record, _, until), *_ = parts
     scene = timo_sim.load_scene(FILES / case.scene)
     values, names = models_of(case, scene, record, until)[chosen]
-    bounds = ' '.join(f'{name}={low:.3g}:{high:.3g}' for name, (low, high) in bounds_of(
-        names, scene.vary(values)).items()).replace(' ', ' --bounds ')
+    shown = ' --bounds '.join(f'{name}=' + ':'.join(
+        '' if np.isinf(each) else f'{each:.5g}' for each in ends) for name, ends in bounds.items())
     changes = ' '.join(['--set', *(f'{name}={value:.6g}' for name, value in values.items())])
     held = f"--hold-out-record '{case.other[0]}'" if case.other else f'--hold-out {HOLD_OUT:g}'
     columns = ' '.join(f'example/real_arm/{each}'
@@ -426,14 +453,14 @@ def command_of(case, parts, chosen):
     return ' \\\n    '.join([
         f"timo_sim fit '{case.record}' {held}",
         f'--scene example/real_arm/{case.scene} --mapping {columns}',
-        *wrap(f'--bounds {bounds}', 112), *(wrap(changes, 112) if values else []),
+        *wrap(f'--bounds {shown}', 112), *(wrap(changes, 112) if values else []),
         *wrap(f'--free {" ".join(names)} -o fitted.yaml --png fit.png', 112)])
 
 
 def section(case):
     """Fit a case, draw it, and return what the page says of it."""
     parts = parts_of(case)
-    found, chosen, trials = fitted(case)
+    found, chosen, bounds, trials = fitted(case)
     held = (found.more or [found])[-1]
     own = {name: (each.r_squared, held.errors[name].hold_out_r_squared)
            for name, each in found.errors.items()}
@@ -451,7 +478,7 @@ def section(case):
         table(['R^2', *(f'{name}, {part}' for name in own for part in ('fitted', 'held out'))],
               rows),
         f'The fit, with the {chosen}:' if trials else 'The fit:',
-        f'```\n{command_of(case, parts, chosen)}\n```',
+        f'```\n{command_of(case, parts, chosen, bounds)}\n```',
         f'```text\n{found.report().replace(str(DATA) + "/", "")}\n```'])
 
 

@@ -435,8 +435,8 @@ def sweep(file: str, output: str | None, workers: int | None, scheduler: str | N
 @click.option('--free', multiple=True, required=True, metavar='NAME [NAME]...', help=(
     'Parameters to be fitted: of the scene; QUANTITY.gain, .bias, .delay or .lag of an input or '
     'output; or initial for the whole initial state.'))
-@click.option('--bounds', multiple=True, metavar='NAME=LOW:HIGH',
-              help='Bounds of one of them; several may follow.')
+@click.option('--bounds', multiple=True, metavar='NAME=LOW:HIGH', help=(
+    'Bounds of one of them, or LOW:GUESS:HIGH with the value to begin with; several may follow.'))
 @_settings
 @click.option('--mapping', type=_FILE, metavar='FILE', multiple=True, help=(
     'YAML file that says which column of a table is which quantity; one for all records, or one '
@@ -448,6 +448,8 @@ def sweep(file: str, output: str | None, workers: int | None, scheduler: str | N
               help='Record that is predicted and not fitted.')
 @click.option('--starts', type=int, metavar='COUNT', help=(
     'Starts to be tried; by default up to 16, until the minimum is good or found again.'))
+@click.option('--quick', is_flag=True, help=(
+    'End with the search: no intervals by profile and no suspects, which can take longer.'))
 @click.option('--next', 'further', type=_FILE, metavar='NEXT.csv', help=(
     'Table to write: an input for the next record, which narrows the widest interval most.'))
 @click.option('--window', type=float, metavar='SECONDS', help=(
@@ -461,7 +463,7 @@ def sweep(file: str, output: str | None, workers: int | None, scheduler: str | N
 def fit(record: str, more: tuple[str, ...], scene: str | None, free: tuple[str, ...],
         bounds: tuple[str, ...], settings: tuple[str, ...], mapping: tuple[str, ...],
         outputs: str | None, hold_out: float, hold_out_record: tuple[str, ...],
-        starts: int | None, further: str | None, window: float | None, loss: str,
+        starts: int | None, quick: bool, further: str | None, window: float | None, loss: str,
         output: str | None, png: str | None) -> None:
     r"""
     Fit parameters of a scene to RECORDs: logs, bags or tables, and predict the rest of them.
@@ -492,7 +494,8 @@ def fit(record: str, more: tuple[str, ...], scene: str | None, free: tuple[str, 
     with warnings.catch_warnings():
         warnings.simplefilter('ignore', ModelWarning)  # the report has its text
         found = fit(load_scene(guess, changes), measured, names, ends, hold_out, window, loss,
-                    starts=starts, hold_out_records=held, tell=partial(click.echo, err=True))
+                    starts=starts, hold_out_records=held, tell=partial(click.echo, err=True),
+                    quick=quick)
     click.echo(found.report())
     if output:
         click.echo(f'{found.save(output)} is written')
@@ -626,10 +629,10 @@ def parse_settings(settings: Iterable[str]) -> dict[str, Any]:
 
 def _parse_bounds(texts):
     def ends_of(text):
-        low, high = text.split(':')
-        return float(low or '-inf'), float(high or 'inf')
-    return _parse(texts, ends_of,
-                  '--bounds takes NAME=LOW:HIGH, such as motor.shaft_inertia=1e-4:0.1')
+        low, *guess, high = text.split(':')
+        return float(low or '-inf'), *map(float, guess), float(high or 'inf')
+    return _parse(texts, ends_of, '--bounds takes NAME=LOW:HIGH or NAME=LOW:GUESS:HIGH, such as '
+                  'motor.shaft_inertia=1e-4:0.1')
 
 
 def _parse(texts, value_of, rule):

@@ -72,7 +72,7 @@ class Free:
 def free_parameters(names: Sequence[str], bounds: Mapping[str, Sequence[float]], scene: Scene,
                     record: Record) -> list[Free]:
     """
-    Return the Free parameters of a fit, with bounds (low, high) by name.
+    Return the Free parameters of a fit, with bounds (low, high) or (low, guess, high) by name.
 
     Raises ParameterError if a name is unknown or given twice, or a start is outside of its bounds.
     """
@@ -112,19 +112,19 @@ def _free(name, bounds, scene, record):
         log = low == 0.0
         scale = initial_scale(name, scene) if name.startswith(INITIAL) else max(abs(start), 1.0)
         scale = 1.0 if log else scale
-        if log and start == 0.0:
-            raise ParameterError(f'{name} must be > 0 {unit} in the scene to be fitted, since its '
-                                 'first value is a guess to begin with; got 0')
-    given = (-math.inf, math.inf) if bounds is None else bounds
     try:
-        given = float(given[0]), float(given[1])
-        good = len(bounds or given) == 2 and given[0] < given[1]
-    except (TypeError, ValueError, IndexError):
+        lowest, *guess, highest = map(float, (-math.inf, math.inf) if bounds is None else bounds)
+        good = lowest < highest and len(guess) < 2 and all(map(math.isfinite, guess))
+    except (TypeError, ValueError):
         good = False
     if not good:
-        raise ParameterError(f'bounds of {name} must be two ascending numbers, got '
-                             f'{short(bounds)}')
-    low, high = max(low, given[0]), min(high, given[1])
+        raise ParameterError(f'bounds of {name} must be two ascending numbers, or three with a '
+                             f'first guess in between, got {short(bounds)}')
+    start, = guess or [start]
+    if log and start <= 0.0:
+        raise ParameterError(f'{name} must be > 0 {unit} in the scene to be fitted, since its '
+                             f'first value is a guess to begin with; got {start:g}')
+    low, high = max(low, lowest), min(high, highest)
     if log:
         low, high = max(low, start / _MAX_FACTOR), min(high, start * _MAX_FACTOR)
     if not low <= start <= high:

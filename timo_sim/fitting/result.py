@@ -306,7 +306,7 @@ def fit(scene: SceneLike | None, record: RecordLike | Sequence[RecordLike], free
         mapping: str | Path | Mapping[str, Any] | Sequence[Any] | None = None,
         starts: int | None = None,
         hold_out_records: Sequence[RecordLike] = (),
-        tell: Callable[[str], object] | None = None) -> Fit:
+        tell: Callable[[str], object] | None = None, quick: bool = False) -> Fit:
     """
     Fit parameters of a scene to a measured record, or to several.
 
@@ -327,7 +327,8 @@ def fit(scene: SceneLike | None, record: RecordLike | Sequence[RecordLike], free
         QUANTITY.gain, .bias, .delay or .lag of an input or output of the record, such as
         shaft.bias; or `initial` for the whole initial state.
     bounds : dict, optional
-        (low, high) by name, within the parameter's own rule.
+        (low, high) by name, within the parameter's own rule, or (low, guess, high) with the
+        value to begin with, in place of that of the scene.
     hold_out : float
         Part of each record, at its end, that is not fitted but predicted, 0 to 0.95.
     window : float, optional
@@ -347,6 +348,9 @@ def fit(scene: SceneLike | None, record: RecordLike | Sequence[RecordLike], free
         state.
     tell : function(str), optional
         Is called with the time that the fit may take, each start, and each further phase.
+    quick : bool
+        End with the search: all intervals are quadratic, and no suspects are sought, which can
+        take longer than the search.
 
     Raises
     ------
@@ -404,8 +408,8 @@ def fit(scene: SceneLike | None, record: RecordLike | Sequence[RecordLike], free
     halves = NORMAL * sigma
     known = [bool(half < (1.0 if each.log else max(1.0, abs(at))))
              for each, at, half in zip(search.free, x, halves)]
-    say('intervals, where others may be by profile')
-    profiles = posterior.intervals(np.flatnonzero(known))
+    say('intervals' + (not quick) * ', where others may be by profile')
+    profiles = {} if quick else posterior.intervals(np.flatnonzero(known))
     estimates = {}
     for k, (each, at, half, identified) in enumerate(zip(search.free, x, halves, known)):
         value = each.value(at)
@@ -445,7 +449,7 @@ def fit(scene: SceneLike | None, record: RecordLike | Sequence[RecordLike], free
         predictions.append(prediction)
         doubts += [f'{each} (record {k + 1})' if len(problems) > 1 else each for each in told]
     likely = []
-    if not white and any(1.0 - each.r_squared > NUMERICAL for prediction in predictions
+    if not quick and not white and any(1.0 - each.r_squared > NUMERICAL for prediction in predictions
                          for each in prediction.errors.values()):
         say('what the residuals look like')
         likely = suspects(search, whole, np.concatenate(residuals))

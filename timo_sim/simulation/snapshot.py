@@ -121,15 +121,15 @@ def add_bristles(scene: Scene, model: Formulation, motions: np.ndarray, loads: n
 
     They follow the joints from sample to sample: a reversal between two samples is seen late.
     """
-    reach = scene.bristles[:, 2]
-    if not reach.any():
-        return
     places = motions[:, :motions.shape[1] // 2] @ model.driven_turns
-    places, deflection = np.column_stack([places, motions[:, 2]]), np.zeros(len(reach))
-    for k, way in enumerate(np.diff(places, axis=0), 1):
-        deflection = np.clip(deflection + way, -reach, reach)
-        limit = np.where(deflection > 0.0, *scene.bristles[:, :2].T)
-        loads[k] -= limit * deflection / np.where(reach > 0.0, reach, 1.0) @ UNITS
+    for k, (*limits, reach) in enumerate(scene.bristles):
+        if not reach:
+            continue
+        bent = [0.0]
+        for way in np.diff(motions[:, 2] if k == 3 else places[:, k]).tolist():
+            bent.append(min(max(bent[-1] + way, -reach), reach))
+        bent = np.array(bent)
+        loads -= np.outer(np.where(bent > 0.0, *limits) * bent / reach, UNITS[k])
 
 
 def _friction(accelerate, loads, speed, limit):
