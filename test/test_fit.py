@@ -198,6 +198,30 @@ def test_sensors_are_fitted():
     assert found.values == pytest.approx(values, rel=1e-3)
 
 
+def test_a_fit_begins_with_the_guesses_within_its_bounds():
+    values = {'arm.young_modulus': 2e11, 'voltage.gain': 4.0, 'voltage.delay': 0.0073}
+    bounds = {'arm.young_modulus': (1e10, 1.7e11, 1e12), 'voltage.gain': (0.1, 3.0, 10.0),
+              'voltage.delay': (0.0, 0.004, 0.1)}
+    record = predicted({**ARM, **MOTOR}, {'voltage': (T, VOLTAGE)}, ['shaft'], values)
+    found = timo_sim.fit({**ARM, **MOTOR, 'arm.young_modulus': 9e10}, record, [*values], bounds,
+                         quick=True)
+    assert found.values == pytest.approx(values, rel=1e-4) and found.starts == 1
+    assert {name: each.start for name, each in found.estimates.items()} == pytest.approx(
+        {name: guess for name, (_, guess, _) in bounds.items()})
+
+
+def test_a_quick_fit_is_the_same_without_profiles_and_suspects():
+    scene, free = {**ARM, **MOTOR}, ['motor.viscous_friction', 'arm.young_modulus']
+    record = noisy(predicted({**scene, 'motor.coulomb_friction': 0.02}, {
+        'voltage': (T[:751], VOLTAGE[:751])}, ['shaft'], t=T[:751]), {'shaft': 1e-3})
+    with warnings.catch_warnings():
+        warnings.simplefilter('ignore', timo_sim.ModelWarning)
+        quick, whole = (timo_sim.fit(scene, record, free, quick=quick) for quick in (True, False))
+    assert quick.scene.values == whole.scene.values and not quick.white
+    assert whole.suspects and not quick.suspects
+    assert not any(each.profile for each in quick.estimates.values())
+
+
 def test_a_product_that_alone_matters_is_named_and_not_returned():
     names = ['motor.dc.torque_constant', 'motor.dc.gear_ratio', 'motor.shaft_inertia']
     scene = {**ARM, **MOTOR}
@@ -430,6 +454,11 @@ BAD_ARGUMENTS = [
     (dict(free=['arm.length'], bounds={'arm.length': (1.0, 2.0)}),
      'arm.length = 0.42 must be within its bounds, 1 to 2'),
     (dict(free=['arm.length'], bounds={'arm.length': (2.0, 1.0)}), 'two ascending numbers'),
+    (dict(free=['arm.length'], bounds={'arm.length': (0.1, 2.0, 1.0)}),
+     'arm.length = 2 must be within its bounds, 0.1 to 1'),
+    (dict(free=['arm.length'], bounds={'arm.length': (0.1, 0.2, 0.3, 1.0)}), 'or three with a'),
+    (dict(free=['arm.length'], bounds={'arm.length': 0.1}), 'or three with a'),
+    (dict(free=['arm.length'], bounds={'arm.length': (0.0, 0.0, 1.0)}), 'must be > 0 m in the'),
     (dict(free=['arm.length'], bounds={'arm.section.width': (1.0, 2.0)}), 'need it to be free'),
     (dict(free=['arm.length'], hold_out=1.0), 'hold_out must be .*<= 0.95, got 1'),
     (dict(free=['arm.length'], window=0.001), 'window must be at least ten steps, 0.02 s'),
