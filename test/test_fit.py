@@ -360,6 +360,15 @@ def test_values_that_a_scene_cannot_have_are_told():
         timo_sim.fit(guess, record, ['motor.coulomb_friction'], starts=1)
 
 
+def test_an_estimate_near_the_limit_of_its_parameter_is_no_refusal():
+    scene = {**ARM, **MOTOR, 'motor.coulomb_friction': 0.02, 'motor.coulomb_presliding': 0.004,
+             'motor.coulomb_speed': 0.3, 'motor.coulomb_rest': 0.995}
+    record = noisy(predicted(scene, {'voltage': (T, VOLTAGE)}, ['shaft']), {'shaft': 1e-4})
+    found = timo_sim.fit({**scene, 'motor.coulomb_rest': 0.9}, record, ['motor.coulomb_rest'])
+    assert found.values['motor.coulomb_rest'] > 0.99
+    assert not any('refused' in each for each in found.warnings)
+
+
 def test_estimates_far_from_their_guess_are_told():
     """As with a voltage in steps of a pulse width, 255 for 12 V."""
     scene, free = {**ARM, **MOTOR}, ['motor.viscous_friction']

@@ -33,7 +33,6 @@ from benchmark.timing import seconds
 import timo_sim
 from timo_sim.fitting.problem import Problem
 from timo_sim.fitting.suspects import suspects
-from timo_sim.scene.parameters import PARAMETERS
 
 sys.path.append(str(ROOT / 'example'))
 import certify  # noqa: E402, I100, I202
@@ -80,16 +79,15 @@ KINDS = {
     'chirp': ('torque', ['shaft_velocity', 'tip_acceleration'], [*_ARM, *_SHAFT]),
     'driven': ('drive', ['tip_transverse'], [*_ARM, DELAY])}
 RELATIVE_NOISE = 0.01   # of the standard deviation of a quantity
-# Effects that a record has and the fitted scene lacks: words that name it, a parameter it needs.
+# Effects that a record has and the fitted scene lacks, and words that name each.
 EFFECTS = {
-    'nothing': ('', ''), 'friction': ('dry friction', ''), 'input delay': ('delay of voltage', ''),
-    'output delay': ('delay of tip_transverse', ''), 'input sign': ('sign of voltage', ''),
-    'output sign': ('sign of tip_transverse', ''), 'limit': ('limit of the voltage', ''),
-    'gravity': ('gravity', ''), 'mode': ('one more mode', ''), 'resonance': ('resonance', ''),
-    'direction': ('depends on the direction', 'motor.coulomb_asymmetry'),
-    'near rest': ('near rest', ''),
-    'backlash': ('backlash', 'motor.gear.backlash'),
-    'gear': ('elastic gear', 'motor.gear.backlash')}
+    'nothing': '', 'friction': 'dry friction', 'input delay': 'delay of voltage',
+    'output delay': 'delay of tip_transverse', 'offset': 'offset of tip_transverse',
+    'first angle': 'another angle', 'input sign': 'sign of voltage',
+    'output sign': 'sign of tip_transverse', 'limit': 'limit of the voltage',
+    'gravity': 'gravity', 'mode': 'one more mode', 'resonance': 'resonance',
+    'direction': 'depends on the direction', 'near rest': 'near rest',
+    'presliding': 'presliding', 'backlash': 'backlash', 'gear': 'elastic gear'}
 SMOOTH = [name for name in FREE if name not in ('motor.coulomb_friction', DELAY)]
 SAME = 1.01     # ratio of residuals below which two fits ended at the same minimum
 
@@ -350,7 +348,7 @@ def lacking(effect, seed, duration):
     size = 2.0**random.uniform(-1.0, 1.0)
     base = {**SCENE, 'motor.coulomb_friction': 0.0, **truth,
             'arm.damping_ratio': [truth['arm.damping_ratio']]}
-    if effect in ('direction', 'near rest'):
+    if effect in ('direction', 'near rest', 'presliding'):
         base |= {'motor.coulomb_friction': 0.03, 'motor.coulomb_speed': 0.2}
     shaft = 0.5 * truth['motor.shaft_inertia']
     gear = {'motor.shaft_inertia': shaft, 'motor.rotor.inertia': shaft / 70.0**2,
@@ -358,6 +356,8 @@ def lacking(effect, seed, duration):
     more = {'friction': {'motor.coulomb_friction': 0.03 * size},
             'direction': {'motor.coulomb_asymmetry': 0.3 * size**0.5},
             'near rest': {'motor.coulomb_speed': size},
+            'presliding': {'motor.coulomb_presliding': 0.02 * size, 'motor.coulomb_rest': 0.7},
+            'first angle': {'initial.shaft': 0.05 * size},
             'gear': {**gear, 'motor.gear.stiffness': 10.0 * size},
             'backlash': {**gear, 'motor.gear.backlash': 0.02 * size},
             'gravity': {'gravity': [0.5 * size * np.cos(seed), 0.5 * size * np.sin(seed)]},
@@ -378,6 +378,8 @@ def lacking(effect, seed, duration):
         omega = 2.0 * np.pi * random.uniform(20.0, 60.0)
         shaken = lfilter(*bilinear([omega**2], [1.0, 0.02 * omega, omega**2], 1.0 / PERIOD), volts)
         seen['tip_transverse'] += 1.5e-3 * size / np.std(shaken) * shaken
+    if effect == 'offset':
+        seen['tip_transverse'] += 2e-3 * size
     if effect == 'output sign':
         seen['tip_transverse'] *= -1.0
     measured = timo_sim.Record.of(
@@ -414,15 +416,13 @@ def suspected(effect, seed, duration):
 
 def all_suspected(count, duration):
     """Return, by effect, what fits to records with this effect suspect."""
-    effects = [name for name, (_, needed) in EFFECTS.items() if not needed or needed in PARAMETERS]
-    tasks = [(name, seed, duration) for name in effects for seed in range(count)]
+    tasks = [(name, seed, duration) for name in EFFECTS for seed in range(count)]
     with ProcessPoolExecutor(os.cpu_count(), get_context('spawn')) as pool:
         found = [*pool.map(suspected, *zip(*tasks))]
     rows = {}
-    for name in effects:
+    for name, words in EFFECTS.items():
         own = [each for each, task in zip(found, tasks) if task[0] == name]
         names = [names for names, says, _ in own if says]
-        words = EFFECTS[name][0]
         first = [each[0] for each in names]
         rivals = [next((share / each[0][1] for text, share in each if words not in text), 0.0)
                   for each in names if words and words in each[0][0]]

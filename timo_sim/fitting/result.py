@@ -36,6 +36,13 @@ if TYPE_CHECKING:
 
 _HIGH_CORRELATION = 0.95  # correlation from which on a pair of parameters is named
 _RUN_HEAD = 'rms error and R^2 of one run from the beginning of the record, without feedback:'
+_AT_BOUND = 1e-3  # distance from a bound, in coordinates of the fit, that counts as none
+_MIN_SAMPLES = 10  # samples of a part whose errors are worth a number
+_MAX_NOISE_RATIO = 2.0  # ratio of a residual to the known noise, above which there is a warning
+_FAR = 10.0  # ratio of an estimate to its first guess, above which there is a warning
+_RUNS = 30  # runs of a fit for each free parameter, in round figures
+_LONG = 60.0  # time of a fit, above which a remedy is told [s]
+_MAX_NUMERICAL = 0.2  # part of a residual that may be numerical error
 
 
 @dataclass(frozen=True)
@@ -524,15 +531,6 @@ def _read(scene, record, mapping):
     return read_log(record, None if scene is None else load_scene(scene))
 
 
-_AT_BOUND = 1e-3  # distance from a bound, in coordinates of the fit, that counts as none
-_MIN_SAMPLES = 10  # samples of a part whose errors are worth a number
-_MAX_NOISE_RATIO = 2.0  # ratio of a residual to the known noise, above which there is a warning
-_FAR = 10.0  # ratio of an estimate to its first guess, above which there is a warning
-_RUNS = 30  # runs of a fit for each free parameter, in round figures
-_LONG = 60.0  # time of a fit, above which a remedy is told [s]
-_MAX_NUMERICAL = 0.2  # part of a residual that may be numerical error
-
-
 def _predict(problem, values, initial, residuals):
     """Return the Prediction of a problem with these values, and what is doubtful of it."""
     doubts, run, predicted, errors = [], None, {}, {}
@@ -600,9 +598,10 @@ def _find_doubts(estimates, problem, values):
     if lost:
         yield (f'{", ".join(lost)} cannot be identified from this record: fix some of them, or '
                'record more outputs or another motion')
-    for name, part in product(values, (0.99, 1.01)):
+    for free, part in product(problem.free, (0.99, 1.01)):
+        near = min(max(part * values[free.name], free.low), free.high)
         try:
-            problem.scene_of({**values, name: part * values[name]})
+            problem.scene_of({**values, free.name: near})
         except ParameterError as error:
             yield ('the search ended where values are refused, so that intervals do not hold: '
                    f'{error}')
