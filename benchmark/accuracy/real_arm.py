@@ -33,7 +33,7 @@ FILES = ROOT / 'example' / 'real_arm'
 DATA = Path(os.environ.get('DATA', 'data'))
 HOLD_OUT = 0.5
 GOALS = 0.95, 0.98
-SPREAD = 20.0  # of an output, in `noise` of its mapping
+SPREAD = 5.0  # of an output, in `noise` of its mapping
 DELAYS = -0.002, 0.2  # bounds of delays [s]: what is late is not early
 FACTOR = 10.0  # to which a first guess is right
 SCORES = ROOT / 'doc' / 'real_arm' / 'scores.json'
@@ -95,6 +95,8 @@ CASES = [
          step=0.006),
     Case('lisbon', 'Lisbon', 'FlexibleArmControl/LabData/Lab3Data/3_lab_a00_f00_repeating.mat',
          'lisbon_columns.yaml', 'lisbon.yaml', gear=70.0),
+    Case('lisbon_2017', 'Lisbon, another unit', 'computer-control/model_identification/code/'
+         'responses_files/scope_data_PRBS.mat', 'lisbon_2017.yaml', 'lisbon.yaml', gear=70.0),
     Case('boulder_7', 'Boulder, unit 7', 'ASEN2003/Lab 6: Rotary Arm/Unit7_Flex_trial1.csv',
          'boulder_7_columns.yaml', 'boulder_7.yaml', gear=48.4),
     Case('boulder_april', 'Boulder, ringing', 'ASEN2003/Lab 6: Rotary Arm/flexarm_K1K2_6_-5',
