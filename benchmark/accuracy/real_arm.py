@@ -301,6 +301,10 @@ def textbook(case, parts):
             (found[name] - channel.values)[channel.t <= end][::4] / size[name]
             for name, channel in record.outputs.items()]).clip(-1e3, 1e3)
 
+    # Delays lie where those of the other model do.
+    bounds = np.tile([[-np.inf], [np.inf]], 12)
+    bounds[:, :7] = [[-8.0] * 7, [12.0] * 7]
+    bounds[:, 8:10] = np.transpose([DELAYS, DELAYS])
     best, half = None, min(parts[0][2], parts[0][0].duration)
     # A cart is heavier than its arm, and follows its voltage as a speed.
     arm, friction, sensor = (0.1, 100.0, 1.0) if tip == 'tip_x' else (2.0, 10.0, size[tip] / 0.05)
@@ -309,7 +313,8 @@ def textbook(case, parts):
         x = np.concatenate([x, [0.0, 0.0, 0.0], [parts[0][0].outputs[name].values[0]
                                                  for name in (tip, shaft)]])
         for end in (0.5 * half, half):
-            found = least_squares(residuals, x, args=(end,), x_scale='jac', max_nfev=40)
+            found = least_squares(residuals, x, args=(end,), bounds=bounds, x_scale='jac',
+                                  max_nfev=40)
             x = found.x
         best = found if best is None or found.cost < best.cost else best
     return scores(parts, [predicted(best.x, record) for record, *_ in parts])
