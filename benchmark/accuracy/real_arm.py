@@ -35,6 +35,7 @@ HOLD_OUT = 0.5
 GOALS = 0.95, 0.98
 SPREAD = 5.0  # of an output, in `noise` of its mapping
 DELAYS = -0.002, 0.2  # bounds of delays [s]: what is late is not early
+SLOW, BACK = 0.1, 0.25  # samples [s] of a way, whose part is that in the other direction
 FACTOR = 10.0  # to which a first guess is right
 SCORES = ROOT / 'doc' / 'real_arm' / 'scores.json'
 
@@ -143,10 +144,8 @@ def goes_back(record, until):
     if 'shaft' not in record.outputs:
         return False
     t, values, *_ = record.outputs['shaft']
-    values = values[t <= until]
-    rise = np.max(values - np.minimum.accumulate(values))
-    fall = np.max(np.maximum.accumulate(values) - values)
-    return bool(min(rise, fall) > 0.5 * np.ptp(values))
+    ways = np.diff(np.interp(np.arange(0.0, min(until, t[-1]), SLOW), t, values))
+    return bool(min(ways[ways > 0.0].sum(), -ways[ways < 0.0].sum()) > BACK * np.abs(ways).sum())
 
 
 def with_rotor(scene, ratio):
