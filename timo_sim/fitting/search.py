@@ -14,7 +14,7 @@ import numpy as np
 from scipy.optimize import least_squares
 
 from timo_sim.fitting.problem import (
-    Free, initial_states, Problem, whiteness, Window)
+    Free, initial_states, Problem, WHITE, whiteness, Window)
 from timo_sim.fitting.start import from_record
 from timo_sim.scene.parameters import ParameterError
 from timo_sim.simulation.warnings import DivergenceError
@@ -144,6 +144,10 @@ class Search:
                 cost = self._solve(_TRY, self.x)
                 ends.append((cost, self.x))
                 text += f', {self._rms(self.x):.3g} in all'
+                # A first part may lead away from a guess that is good, to another valley.
+                if self.tried == 1 and not self._is_doubtful(1) and not self._is_white():
+                    ends.append((self._solve(_LOOSE, x), self.x))
+                    text += f', without it {self._rms(self.x):.3g}'
             self._tell(text)
             parts.append(part)
             costs.append(cost)
@@ -152,6 +156,10 @@ class Search:
             if starts is None and not self._is_doubtful(found):
                 break
         return [x for cost, x in ends if x is not self.x and cost <= (1.0 + _SAME) * best]
+
+    def _is_white(self):
+        return all(whiteness(r) >= WHITE for r, _ in zip(
+            self._split_rows(self.residuals(self.x)), self.series()))
 
     def _is_doubtful(self, found):
         """Return whether x, which some starts have `found`, may not be the best minimum."""
