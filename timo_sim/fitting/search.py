@@ -89,7 +89,7 @@ class Search:
 
     def run(self, starts: int | None) -> None:
         """Find x and the standard deviations of the sensors; `starts` is as for `fit`."""
-        ends = []
+        ends, guess = [], self.x
         if not self.windows[0][1].names:
             ends = self._try_starts(starts)
         else:
@@ -110,6 +110,13 @@ class Search:
         self._tell('last search, with tight tolerances')
         found = [(self._solve(_TIGHT, x), self.x) for x in [self.x, *ends]]
         least, self.x = min(found, key=lambda end: end[0])
+        if not self._states[0] and not self._is_white() and not self._is_doubtful(1):
+            # A first part may have led away from a guess that is good.
+            self._solve(_LOOSE, guess)
+            found.append((self._solve(_TIGHT), self.x))
+            self._tell(f'from the first guess without a first part: {found[-1][0] / least:.3g} '
+                       'times the squares')
+            least, self.x = min(found, key=lambda end: end[0])
         minima = [self.x]
         for cost, x in found:
             if cost - least < _SAME * least and all(
@@ -144,10 +151,6 @@ class Search:
                 cost = self._solve(_TRY, self.x)
                 ends.append((cost, self.x))
                 text += f', {self._rms(self.x):.3g} in all'
-                # A first part may lead away from a guess that is good, to another valley.
-                if self.tried == 1 and not self._is_doubtful(1) and not self._is_white():
-                    ends.append((self._solve(_LOOSE, x), self.x))
-                    text += f', without it {self._rms(self.x):.3g}'
             self._tell(text)
             parts.append(part)
             costs.append(cost)
