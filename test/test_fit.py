@@ -15,6 +15,7 @@ from benchmark.accuracy import fits
 import timo_sim
 from timo_sim.fitting.record import Channel, OUTPUTS
 from timo_sim.fitting.problem import covariance, loads_of, Problem, whiteness
+from timo_sim.fitting.search import first_part
 from timo_sim.model.layout import AFTER, TORQUE
 
 ARM = {'carrier.held': 'both', 'arm.length': 0.42, 'arm.section.height': 0.001,
@@ -237,6 +238,16 @@ def test_a_product_that_alone_matters_is_named_and_not_returned():
     assert 'not identified by this record' in found.report()
 
 
+def test_a_record_that_rests_at_first_is_fitted_where_it_moves():
+    """The first part of a record, to which starts are fitted, has a quarter of its motion."""
+    t = 0.002 * np.arange(2501)
+    volts = np.where(t > 4.0, 4.0 * np.sign(np.sin(12.0 * t)), 0.0)
+    record = noisy(predicted({**ARM, **MOTOR}, {'voltage': (t, volts)}, ['shaft'], t=t),
+                   {'shaft': 1e-3})
+    problem = Problem(timo_sim.load_scene({**ARM, **MOTOR}), record, ['arm.length'], {}, t[-1])
+    assert 4.1 < first_part(problem) < 4.9
+
+
 def test_what_is_held_out_is_not_fitted():
     scene, free = {**ARM, **MOTOR}, ['motor.viscous_friction', 'arm.young_modulus']
     guess = timo_sim.load_scene(scene, {'motor.viscous_friction': 0.02})
@@ -343,6 +354,17 @@ def test_missing_friction_of_the_carrier_is_a_suspect():
         'force_x': (T, force)}, ['carrier_x']), {'carrier_x': 1e-3})
     with pytest.warns(timo_sim.ModelWarning, match='set carrier.coulomb_friction to about'):
         timo_sim.fit(scene, record, ['carrier.mass'])
+
+
+def test_a_delay_of_an_input_is_none_of_all_outputs():
+    """Friction is missing, not a second delay beside those of all outputs."""
+    record = noisy(predicted({**ARM, **MOTOR, 'motor.coulomb_friction': 0.02}, {
+        'voltage': (T[:751], VOLTAGE[:751])}, ['shaft'], {'shaft.delay': 0.01}, T[:751]),
+        {'shaft': 1e-3})
+    with warnings.catch_warnings():
+        warnings.simplefilter('ignore', timo_sim.ModelWarning)
+        found = timo_sim.fit({**ARM, **MOTOR}, record, ['motor.viscous_friction', 'shaft.delay'])
+    assert 'a delay of voltage' not in {each.name for each in found.suspects}
 
 
 def test_a_bound_that_is_met_is_told():

@@ -71,7 +71,7 @@ def test_a_fit_finds_the_truth_from_a_wrong_guess():
     # It says what it expects, then each start with the residuals before and behind it.
     assert 'a run of the records takes' in told[0] and ' 4 parameters' in told[0]
     starts = [re.fullmatch(r'.* s: start (\d+) of up to 16: rms residual (\S+) -> (\S+) deviations'
-                           r' in the first quarter(, \S+ in all)?', text) for text in told]
+                           r' in the first part(, \S+ in all)?', text) for text in told]
     starts = [each.groups() for each in starts if each]
     assert [int(number) for number, *_ in starts] == [*range(1, found.starts + 1)]
     assert all(float(after) <= float(before) for _, before, after, _ in starts)

@@ -578,8 +578,9 @@ def _predict(problem, values, initial, residuals):
 
 
 def _find_doubts(estimates, problem, values):
-    inputs = ', '.join(f'{name} = {value:.5g}' for name, value in values.items()
-                       if name.rpartition('.')[0] in problem.record.inputs)
+    inputs = ', '.join(f'{name} = {value:.5g}' + (
+        ' (not identified)' if name in estimates and not estimates[name].identified else '')
+        for name, value in values.items() if name.rpartition('.')[0] in problem.record.inputs)
     if inputs:
         yield (f'the fitted scene does not hold {inputs}: multiply an input by its gain, add its '
                'bias and delay it before you give it to the scene')
@@ -589,8 +590,8 @@ def _find_doubts(estimates, problem, values):
     far = [free.name for free in problem.free if free.log
            and not 1.0 / _FAR < values[free.name] / free.start < _FAR]
     if far:
-        yield (f'{", ".join(far)}: more than {_FAR:g} times off the first guess: look at unit and '
-               'scale of the columns')
+        yield (f'{", ".join(far)}: more than {_FAR:g} times off the first guess: unless that was '
+               'rough, look at unit and scale of the columns')
     if all(math.isclose(values.get(name, math.nan), each.start, rel_tol=1e-12)
            for name, each in estimates.items()):
         yield 'the search did not leave the first guesses: try others, or more starts'

@@ -22,7 +22,8 @@ from timo_sim.simulation.warnings import DivergenceError
 LOSSES = 'linear', 'soft_l1', 'huber', 'cauchy'
 _CENTRAL, _WIDE = 3e-4, 1e-3  # steps of differences in coordinates of the fit, for intervals
 _MAX_DIFFERENCE = 0.3  # relative difference of derivatives by two steps, above which a run jumps
-_FIRST_PART = 0.25  # part of the record that is fitted first: early, runs are closer to it
+# Part of the record, and of its motion, that is fitted first: early, runs are closer to it.
+_FIRST_PART, _COARSE = 0.25, 200  # this motion is seen at so many points
 _MIN_DEVIATION = 1e-5  # least standard deviation, relative to the first
 _FIRST_DEVIATION = 0.1  # first standard deviation, relative to that of an output's values
 # Relative changes of the sum of squares and of x at which a search ends, its most evaluations,
@@ -134,13 +135,13 @@ class Search:
     def _try_starts(self, starts):
         """Move x to the best minimum from several starts; return the others that are as good."""
         whole, parts, costs, reached, ends = self.windows, [], [], [], []
-        first = [(k, Window(0.0, _FIRST_PART * window.end, ())) for k, window in whole]
+        first = [(k, Window(0.0, first_part(self.problems[k]), ())) for k, _ in whole]
         most = f'{starts}' if starts else f'up to {_MAX_STARTS}'
         for self.tried, x in enumerate(self._starts(starts or _MAX_STARTS), 1):
             self.windows, cost = first, math.inf
             begun, part = self._rms(x), self._solve(_LOOSE, x)
             text = (f'start {self.tried} of {most}: rms residual {begun:.3g} -> '
-                    f'{self._rms(self.x):.3g} deviations in the first quarter')
+                    f'{self._rms(self.x):.3g} deviations in the first part')
             self.windows, reached = whole, [*reached, self.x]
             # A quiet first part is fitted alike from everywhere: where its fit ends counts.
             known = [old for old, each in zip(costs, reached) if np.allclose(
@@ -196,7 +197,7 @@ class Search:
             every = problem.measurements(Window(0.0, problem.until, ()))
             # The least correlation of all samples and of those of the first part.
             for name, (t, seen) in predicted.items():
-                for part in (t <= problem.until, t <= _FIRST_PART * problem.until):
+                for part in (t <= problem.until, t <= first_part(problem)):
                     if part.sum() > 2 and np.ptp(seen[part]) and np.ptp(every[name][part]):
                         each = float(np.corrcoef(seen[part], every[name][part])[0, 1])
                         against[name] = min(each, against.get(name, 0.0))
@@ -331,3 +332,12 @@ class Search:
                   'cauchy': lambda z: 1.0 / (1.0 + z)}[self.loss](residuals**2)
         weight[len(weight) - len(self._prior):] = 1.0  # the prior has no weights
         return np.sqrt(weight)
+
+
+def first_part(problem: Problem) -> float:
+    """Return when a quarter of the time is over, and of the motion of an output [s]."""
+    t, ends = np.linspace(0.0, problem.until, _COARSE), []
+    for channel in problem.record.outputs.values():
+        motion = np.cumsum(np.diff(np.interp(t, channel.t, channel.values))**2)
+        ends.append(t[1 + np.searchsorted(motion, _FIRST_PART * motion[-1])])
+    return float(max(_FIRST_PART * problem.until, min(ends)))

@@ -116,7 +116,7 @@ def suspects(search: Search, jacobian: np.ndarray, residuals: np.ndarray) -> lis
          in _resonances(search, len(left))), default=(0.0, False, 0.0))
     found = [*_signs(search), Suspect(
         f'a resonance at {frequency:.3g} Hz, which no mode of the model has', share, white,
-        'look for what vibrates beside the arm')]
+        'look for what vibrates beside the arm, and try other first guesses')]
     tried = []
     for effect in _effects(search):
         of_trials = []
@@ -247,8 +247,10 @@ def _effects(search: Search) -> Iterator[_Effect]:
         yield _Effect('gravity, as of a tilted plane', 'free gravity[0] and gravity[1]',
                       lambda _, x, y: {'gravity[0]': x, 'gravity[1]': y},
                       [[size, size] for size in _GRAVITY], both)
+    late = {name for name in problem.record.outputs if f'{name}.delay' in values}
     for name in (*problem.record.inputs, *problem.record.outputs):
-        if f'{name}.delay' not in values:
+        # Delays of all outputs are those of the input.
+        if f'{name}.delay' not in values and late < {*problem.record.outputs}:
             yield _Effect(f'a delay of {name}', f'free {name}.delay, about {{:.2g}} s',
                           lambda _, size, name=f'{name}.delay': {name: size},
                           [[count * step] for count in _DELAYS])
