@@ -1,7 +1,6 @@
 # Copyright 2026 The timo_sim authors
 # SPDX-License-Identifier: Apache-2.0
 
-
 """Fits that start far from the truth, fits to several records, and the record to take next."""
 
 import re
@@ -56,9 +55,9 @@ def distances(found, truth=TRUTH):
 
 
 def test_a_fit_finds_the_truth_from_a_wrong_guess():
-    """The record begins quietly, so that its first part leads nowhere."""
+    """The record begins quietly, and stiffness is wrong by a factor of 9."""
     record = made(np.where(T > 0.8, 0.1 * np.sin((6.0 + 20.0 * T) * T), 0.0), 3)
-    guess = wrong(3.0, 1 / 3.0, 1 / 3.0, 1 / 3.0)
+    guess = wrong(9.0, 1 / 3.0, 3.0, 1 / 3.0)
     with pytest.warns(timo_sim.ModelWarning):
         alone = timo_sim.fit(guess, record, [*TRUTH], starts=1)
     assert not alone.white
