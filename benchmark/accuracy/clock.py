@@ -27,7 +27,7 @@ NEAR = 9               # samples between a pause and where the rhythm has it
 
 
 def pauses(x):
-    """Return how long the sampler pauses after each sample of the cart's place, shape (n - 1,) [s]."""
+    """Return how long the sampler pauses after each sample of the cart's place, (n - 1,) [s]."""
     ways = np.diff(x)
     near = np.delete(sliding_window_view(ways, 9), 4, axis=1).mean(axis=1)
     slow = np.abs(near) < SLOWEST

@@ -87,8 +87,8 @@ CASES = [
     Case('prague', 'Prague', 'quanser-2-dof-serial-flexible-link/software/quanser_updated/'
          'lqr_full_10deg.mat', 'prague_columns.yaml', 'prague.yaml',
          more=('end_effector.inertia', 'tip_torque.gain'), gear=100.0),
-    Case('delft', 'Delft', 'flexible-beam-control/ResonanceDataChirp20_clock.csv', 'delft_chirp20.yaml',
-         'delft.yaml', other=('flexible-beam-control/ResonanceDataChirp45_clock.csv',
+    Case('delft', 'Delft', 'flexible-beam-control/ResonanceDataChirp20_clock.csv',
+         'delft_chirp20.yaml', 'delft.yaml', other=('flexible-beam-control/ResonanceDataChirp45_clock.csv',
                               'delft_chirp45.yaml')),
     Case('bratislava', 'Bratislava', 'AutomationShield/matlab/examples/LinkShield/resultID.mat',
          'bratislava_columns.yaml', 'bratislava.yaml',
@@ -195,7 +195,7 @@ def bounds_of(names, scene, before=None):
 
 
 def fitted(case):
-    """Return the Fit of a case, its model's name, its bounds, and by model R^2 of what chose it."""
+    """Return the Fit of a case, its model's name and bounds, and by model R^2 of what chose it."""
     (record, _, until), *_ = parts_of(case)
     scene, trials, halves = timo_sim.load_scene(FILES / case.scene), {}, {}
 
@@ -438,9 +438,9 @@ def missing(quick):
         f'faster than 0.5 rad/s, takes {motion:.1f} N m. '
         f'Delft: in the sweep that is held out the sampler pauses {len(short)} times for some '
         f'{np.median(short):.1f} ms and {len(long)} times for some {np.median(long):.1f} ms, '
-        f'{SAMPLE * lost.sum():.1f} s in all. An integral of its voltage describes the cart with an '
-        f'R^2 of {true[1, 0]:.4f}, and of {counted[1, 0]:.4f} with the times as they are counted; '
-        f'beside it the cart drifts by {1e3 * true[1, 1]:.2f} mm/s, in the sweep that is fitted by '
+        f'{SAMPLE * lost.sum():.1f} s in all. An integral of its voltage describes the cart with '
+        f'an R^2 of {true[1, 0]:.4f}, and of {counted[1, 0]:.4f} with the times as counted; '
+        f'beside it the cart drifts by {1e3 * true[1, 1]:.2f} mm/s, in the fitted sweep by '
         f'{1e3 * true[0, 1]:.2f} mm/s. Bratislava: the strip rings at {first:.2f} Hz in '
         f'the first quarter and at {last:.2f} Hz in the last.'])
 

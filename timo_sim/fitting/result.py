@@ -456,8 +456,9 @@ def fit(scene: SceneLike | None, record: RecordLike | Sequence[RecordLike], free
         predictions.append(prediction)
         doubts += [f'{each} (record {k + 1})' if len(problems) > 1 else each for each in told]
     likely = []
-    if not quick and not white and any(1.0 - each.r_squared > NUMERICAL for prediction in predictions
-                         for each in prediction.errors.values()):
+    if not quick and not white and any(
+            1.0 - each.r_squared > NUMERICAL for prediction in predictions
+            for each in prediction.errors.values()):
         say('what the residuals look like')
         likely = suspects(search, whole, np.concatenate(residuals))
         doubts[:0] = name_suspects(likely)

@@ -125,10 +125,10 @@ def add_bristles(scene: Scene, model: Formulation, motions: np.ndarray, loads: n
     for k, (*limits, reach) in enumerate(scene.bristles):
         if not reach:
             continue
-        bent = [0.0]
+        deflections = [0.0]
         for way in np.diff(motions[:, 2] if k == 3 else places[:, k]).tolist():
-            bent.append(min(max(bent[-1] + way, -reach), reach))
-        bent = np.array(bent)
+            deflections.append(min(max(deflections[-1] + way, -reach), reach))
+        bent = np.array(deflections)
         loads -= np.outer(np.where(bent > 0.0, *limits) * bent / reach, UNITS[k])
 
 
