@@ -88,8 +88,8 @@ CASES = [
          'lqr_full_10deg.mat', 'prague_columns.yaml', 'prague.yaml',
          more=('end_effector.inertia', 'tip_torque.gain'), gear=100.0),
     Case('delft', 'Delft', 'flexible-beam-control/ResonanceDataChirp20_clock.csv',
-         'delft_chirp20.yaml', 'delft.yaml', other=('flexible-beam-control/ResonanceDataChirp45_clock.csv',
-                              'delft_chirp45.yaml')),
+         'delft_chirp20.yaml', 'delft.yaml', other=(
+             'flexible-beam-control/ResonanceDataChirp45_clock.csv', 'delft_chirp45.yaml')),
     Case('bratislava', 'Bratislava', 'AutomationShield/matlab/examples/LinkShield/resultID.mat',
          'bratislava_columns.yaml', 'bratislava.yaml',
          fixed=('tip_acceleration.gain', 'tip_acceleration.delay', 'tip_acceleration.lag'),
