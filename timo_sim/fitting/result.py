@@ -400,7 +400,7 @@ def fit(scene: SceneLike | None, record: RecordLike | Sequence[RecordLike], free
 
     search = Search(problems, loss, say)
     if tell:
-        say(_expect(search))
+        say(_expect(search, quick))
     search.run(starts)
     names, count = [free.name for free in search.free], len(search.free)
     say('derivatives, for the intervals')
@@ -477,7 +477,7 @@ def fit(scene: SceneLike | None, record: RecordLike | Sequence[RecordLike], free
     return found
 
 
-def _expect(search):
+def _expect(search, quick):
     """Return a text of how long a run takes and a fit may take."""
     begun = time.monotonic()
     search.residuals(search.x)
@@ -485,7 +485,8 @@ def _expect(search):
     columns = max(len(each.free) + len(each.windows[0].names) for each in search.problems)
     seconds = _RUNS * columns * run
     text = (f'a run of the records takes {run:.2g} s, a fit of {columns} parameters from one '
-            f'start some {seconds:.2g} s')
+            f'start some {seconds:.2g} s' + (not quick) * (
+                ', what follows the search as long again'))
     if seconds > _LONG:
         text += '; for less, fit fewer parameters to a part of the record, with fewer modes' + (
             ', and give friction a coulomb_speed: where it sticks runs are slower, and searches '
