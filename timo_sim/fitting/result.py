@@ -485,8 +485,8 @@ def _expect(search, quick):
     columns = max(len(each.free) + len(each.windows[0].names) for each in search.problems)
     seconds = _RUNS * columns * run
     text = (f'a run of the records takes {run:.2g} s, a fit of {columns} parameters from one '
-            f'start some {seconds:.2g} s' + (not quick) * (
-                ', what follows the search as long again'))
+            f'start some {seconds:.2g} s, or ten times that if the model lacks something'
+            + (not quick) * '; what follows the search may take as long again')
     if seconds > _LONG:
         text += '; for less, fit fewer parameters to a part of the record, with fewer modes' + (
             ', and give friction a coulomb_speed: where it sticks runs are slower, and searches '
