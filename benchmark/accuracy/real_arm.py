@@ -35,7 +35,8 @@ HOLD_OUT = 0.5
 GOALS = 0.95, 0.98
 SPREAD = 5.0  # of an output, in `noise` of its mapping
 DELAYS = -0.002, 0.2  # bounds of delays [s]: what is late is not early
-SLOW, BACK = 0.1, 0.25  # samples [s] of a way, whose part is that in the other direction
+SHORT = 0.1  # time in which a way of the shaft is one way [s]
+BACK = 0.25  # part of all ways in the lesser direction, above which the shaft moves in both
 FACTOR = 10.0  # to which a first guess is right
 SCORES = ROOT / 'doc' / 'real_arm' / 'scores.json'
 
@@ -144,7 +145,7 @@ def goes_back(record, until):
     if 'shaft' not in record.outputs:
         return False
     t, values, *_ = record.outputs['shaft']
-    ways = np.diff(np.interp(np.arange(0.0, min(until, t[-1]), SLOW), t, values))
+    ways = np.diff(np.interp(np.arange(0.0, min(until, t[-1]), SHORT), t, values))
     return bool(min(ways[ways > 0.0].sum(), -ways[ways < 0.0].sum()) > BACK * np.abs(ways).sum())
 
 
@@ -190,7 +191,7 @@ def bounds_of(names, scene, before=None):
         for name, value in search.values(search.x, 0).items():
             if name in names and not before.estimates[name].bound:
                 low, high = found.get(name, (-np.inf, np.inf))
-                found[name] = low, float(f'{value:.5g}'), high
+                found[name] = low, float(f'{value:.5g}'), high  # as the page shows it
     return found
 
 
@@ -300,7 +301,7 @@ def textbook(case, parts):
             (found[name] - channel.values)[channel.t <= end][::4] / size[name]
             for name, channel in record.outputs.items()]).clip(-1e3, 1e3)
 
-    # Delays lie where those of the other model do.
+    # Logarithms lie where they are clipped, delays where those of the other model do.
     bounds = np.tile([[-np.inf], [np.inf]], 12)
     bounds[:, :7] = [[-8.0] * 7, [12.0] * 7]
     bounds[:, 8:10] = np.transpose([DELAYS, DELAYS])
