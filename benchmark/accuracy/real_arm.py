@@ -103,6 +103,8 @@ CASES = [
          'boulder_7_columns.yaml', 'boulder_7.yaml', gear=48.4),
     Case('boulder_april', 'Boulder, ringing', 'ASEN2003/Lab 6: Rotary Arm/flexarm_K1K2_6_-5',
          'boulder_april_columns.yaml', 'boulder_april.yaml', gear=48.4),
+    Case('boulder_213', 'Boulder, last', 'ASEN2003/Lab 6: Rotary Arm/flexarm_K1K2K3_6_-5_213',
+         'boulder_213_columns.yaml', 'boulder_213.yaml', gear=48.4),
 ]
 
 
