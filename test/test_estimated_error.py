@@ -234,12 +234,17 @@ def test_lists_of_modes_grow_with_the_modes():
     np.testing.assert_allclose(*tips, atol=1e-15)
 
 
-def test_one_mode_has_a_finer_run_but_what_starts_bent_in_static_modes_has_none():
+def test_a_finer_run_starts_where_the_run_does_also_if_static_shapes_are_bent():
+    scene = timo_sim.load_scene({**SCENES['stretch'], 'model.static_modes': 'force',
+                                 'initial.modal_coordinates': [2e-3, 0.0, 0.0, 2e-3]})
+    tips = [each.build().tip(each.initial_motion()) for each in (scene, refine(scene, 2))]
+    # Few nodes see the shortening, the square of the bend, to 4e-4 of itself.
+    assert tips[0][1] > 1e-3 and tips[1] == pytest.approx(tips[0], abs=1e-7)
+
+
+def test_one_mode_has_a_finer_run():
     one = {'model.modes': 1, 'initial.modal_coordinates': [0.2], 'arm.damping_ratio': [0.01]}
-    static = {**SCENES['stretch'], 'model.static_modes': 'force'}
-    bent = {**static, 'initial.modal_coordinates': [1e-3, 0.0, 0.0]}
-    found = [quietly(values, 0.1).stats['estimated_tip_error_m'] for values in (one, static, bent)]
-    assert found[0] > 0.0 and found[1] > 0.0 and math.isnan(found[2])
+    assert quietly(one, 0.1).stats['estimated_tip_error_m'] > 0.0
 
 
 def test_steps_with_dry_friction_are_fine_enough():

@@ -223,14 +223,14 @@ def test_an_arm_described_in_pieces_is_the_uniform_arm():
 
 
 @pytest.mark.parametrize('body, count, static', [
-    (arm(), 40, ()), (tapered(), 8, ()), (arm(), 3, ('force', 'torque')),
-    (arm(tip=(0.0, 0.0)), 40, ('force', 'torque')), (tapered(height=0.005), 1, ('torque',)),
+    (arm(), 42, ()), (tapered(), 8, ()), (arm(), 3, ('force', 'torque')),
+    (arm(tip=(0.0, 0.0)), 42, ('force', 'torque')), (tapered(height=0.005), 1, ('torque',)),
     (tapered(height=0.005), 12, ('force',))],
     ids=['uniform', 'tapered', 'heavy tip, static', 'no tip, static', 'tapered, static 1',
          'tapered, static 12'])
 def test_modes_are_orthonormal_with_the_right_root_reactions_or_static_shapes(
         body, count, static):
-    modes = modes_of(body, count, static)
+    modes, count = modes_of(body, count, static), count + len(static)
     rule = Quadrature(body.arm.breaks, 200)
     mass, inertia = body.inertia(rule)
     w, phi = modes.deflection(rule.points), modes.rotation(rule.points)

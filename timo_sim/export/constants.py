@@ -11,7 +11,7 @@ from timo_sim.compiled.constants import pack, Packed
 from timo_sim.model.layout import INPUTS
 from timo_sim.scene.parameters import ParameterError, PARAMETERS
 from timo_sim.scene.scene import Scene
-from timo_sim.simulation.finer import can_refine, choose_parts
+from timo_sim.simulation.finer import choose_parts
 from timo_sim.simulation.simulator import MOST_BENT, Simulator
 from timo_sim.steps.instance import Plant
 
@@ -69,9 +69,6 @@ def refuse(scene: Scene, estimate: bool) -> None:
         raise ParameterError('estimate must be false with one axis of the carrier held and a '
                              'shaft that turns: linear parts of a finer model with an axial mode '
                              'would take tens of megabytes')
-    if estimate and not can_refine(scene):
-        raise ParameterError('estimate must be false for a scene with model.static_modes and '
-                             'initial modal coordinates, which has no finer one')
 
 
 def interface_of(scene: Scene, estimate: bool) -> Interface:

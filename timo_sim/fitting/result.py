@@ -28,7 +28,7 @@ from timo_sim.runs.run import Run
 from timo_sim.scene.files import whole_file
 from timo_sim.scene.parameters import changed, Parameter, ParameterError, short, warn
 from timo_sim.scene.scene import load_scene, Scene, SceneLike
-from timo_sim.simulation.finer import can_refine, refine
+from timo_sim.simulation.finer import refine
 from timo_sim.simulation.warnings import DivergenceError
 
 if TYPE_CHECKING:
@@ -390,6 +390,7 @@ def fit(scene: SceneLike | None, record: RecordLike | Sequence[RecordLike], free
         raise ParameterError(f'free must be a list of names, got {short(free)}')
     starts = None if starts is None else _STARTS.check(starts)
     start, measured, held = read_scene_and_records(scene, record, mapping, hold_out_records)
+    start = start.with_fixed_shapes()
     begun, bounds = time.monotonic(), dict(bounds or {})
     problems = [Problem(start, each, _names_for(each, measured, free), bounds,
                         (1.0 - hold_out) * each.duration, window) for each in measured]
@@ -562,9 +563,8 @@ def _predict(problem, values, initial, residuals):
     found = Prediction(problem.record, errors, run, predicted, problem.until)
     if run is None:
         return found, doubts
-    # Coordinates of static modes have no meaning in other modes.
     try:
-        finer = refine(fitted, 2, None if can_refine(fitted) else 0, 0, same_equations=True)
+        finer = refine(fitted, 2, None, 0, same_equations=True)
         again = problem.predictions(problem.run(values, scene=finer), values)
     except (DivergenceError, ParameterError) as error:
         return found, [*doubts, f'the numerical error is not known: {error}']

@@ -90,12 +90,11 @@ def modes_of(manipulator: Manipulator, count: int, static: tuple[str, ...] = ())
     Return the lowest modes of a manipulator's arm, both spectra together.
 
     They are cached, because the check of a scene and its run ask for the same modes. Those of a
-    uniform arm have a closed form. `static` are loads on the tip, 'force' or 'torque', whose
-    static shapes replace the last modes.
+    uniform arm have a closed form. `static` are loads, 'force' or 'torque' on the tip or 'weight',
+    whose static shapes follow the modes.
     """
     if count and static:
-        static = static[:count]
-        return StaticModes(manipulator, modes_of(manipulator, count - len(static)), static)
+        return StaticModes(manipulator, modes_of(manipulator, count), static)
     if manipulator.arm.uniform:
         return UniformModes(manipulator, count)
     return GalerkinModes(manipulator, count)
@@ -491,6 +490,23 @@ class StaticModes(JoinedModes):
         vectors = (inverse.T @ vectors / np.sqrt(squares))[:, ::-1]
         vectors *= np.sign((rule.interpolate_to(np.zeros(1)) @ curvature @ vectors)[0])
         super().__init__(modes, StrainModes(omega, rule, curvature @ vectors, shear @ vectors))
+
+
+def compliance(manipulator: Manipulator, modes: Modes) -> tuple[np.ndarray, np.ndarray]:
+    """
+    Return the static response of a straight arm's tip to loads on it, and what modes have of it.
+
+    Rows are deflection [m] and rotation [rad] of the tip, columns are by a force across the tip
+    [1/N] and a torque [1/(N m)]; both of shape (2, 2).
+    """
+    rule = Quadrature(manipulator.arm.breaks, 4 * len(modes) + 40)
+    section, tip = manipulator.arm.at(rule.nodes), np.array([manipulator.arm.length])
+    loads = _outboard(manipulator, rule)
+    moment, force = np.swapaxes([loads['force'], loads['torque']], 0, 1)
+    whole = (moment * rule.weights / section.bending_stiffness @ moment.T
+             + force * rule.weights / section.shear_stiffness @ force.T)
+    shapes = np.vstack([modes.deflection(tip), modes.rotation(tip)])
+    return whole, shapes / modes.omega**2 @ shapes.T
 
 
 def _outboard(manipulator, rule):

@@ -14,10 +14,10 @@ import numpy as np
 from numpy.typing import ArrayLike
 
 from timo_sim.extras import optional
-from timo_sim.model.bodies import Quadrature
 from timo_sim.model.formulation import Formulation
 from timo_sim.model.layout import (
     ANGLE, INPUTS, LOADS, Motion, rotate, TIP_TORQUE, TIP_X, TIP_Y, TORQUE, VOLTAGE)
+from timo_sim.model.modes import compliance
 from timo_sim.scene.loads import CHANNELS
 from timo_sim.scene.parameters import did_you_mean, Parameter, ParameterError, warn
 from timo_sim.scene.scene import load_scene, motor_constants, SceneLike
@@ -205,8 +205,9 @@ def linearize(scene: SceneLike, at: np.ndarray | None = None) -> LinearModel:
     half = len(at) // 2
     load = scene.load_at_start() if scene.values['initial.equilibrium'] else np.zeros(LOADS)
     load[ANGLE] = at[2]
-    # Small changes about an equilibrium do not reach the limit of the motor's current.
-    scene = scene.vary({'motor.dc.current_limit': math.inf})
+    # Small changes about an equilibrium do not reach the limit of the motor's current, and no
+    # step needs damping of static shapes.
+    scene = replace(scene.vary({'motor.dc.current_limit': math.inf}), step=0.0)
     formulation = scene.build()
     state = formulation.state(at)
     moving, rate = at[half:], np.abs(formulation.rate(state, load))
@@ -346,14 +347,7 @@ def _residual(model, at):
     found = np.zeros((count, LOADS))
     if len(modes) == model.axial + bool(model.gear):  # an arm without modes is rigid on purpose
         return found
-    rule = Quadrature(body.arm.breaks, 4 * len(modes) + 40)
-    section = body.arm.at(rule.nodes)
-    # Curvature and shear strain by a force across the tip and by a torque.
-    lever = np.stack([body.arm.length - rule.nodes, np.ones_like(rule.nodes)])
-    compliance = lever * rule.weights / section.bending_stiffness @ lever.T
-    compliance[0, 0] += np.sum(rule.weights / section.shear_stiffness)
-    shapes = np.vstack([tip.deflection[:, 0], tip.rotation[:, 0]])
-    compliance -= shapes / modes.omega**2 @ shapes.T
+    whole, seen = compliance(body, modes)
     # Force and torque per load, and the tip's outputs per deflection and rotation.
     angle = at[2] + at[3:len(at) // 2] @ tip.rotation[:, 0]
     across = np.array([-np.sin(angle), np.cos(angle)])
@@ -363,7 +357,7 @@ def _residual(model, at):
     shifts[3:7, 0] = *across, *rotate(-at[2], *across)
     shifts[8, 0] = (along * shifts[6, 0] - sideways * shifts[5, 0]) / (along**2 + sideways**2)
     shifts[7, 1] = 1.0
-    return shifts @ compliance @ loads
+    return shifts @ (whole - seen) @ loads
 
 
 def state_names(model: Formulation) -> tuple[str, ...]:

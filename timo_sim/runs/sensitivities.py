@@ -96,7 +96,7 @@ def sensitivities(scene: SceneLike, duration: float,
     ((1, 2, 13), ('end_effector.mass', 'initial.carrier_x', 'initial.carrier_y'))
 
     """
-    scene = load_scene(scene)
+    scene = load_scene(scene).with_fixed_shapes()
     steps = steps_in(duration, scene.step)
     commanded = _check_commands(commands or {})
     inputs = [*_inputs_of_scene(scene, parameters),

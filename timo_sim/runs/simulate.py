@@ -14,8 +14,8 @@ import numpy as np
 
 from timo_sim.runs.run import Run, run_scene
 from timo_sim.scene.parameters import Parameter, ParameterError, PARAMETERS, steps_in, warn
-from timo_sim.scene.scene import load_scene, Scene, scene_from, SceneLike
-from timo_sim.simulation.finer import can_refine, choose_parts, refine, tip_distance
+from timo_sim.scene.scene import load_scene, needed_static, Scene, scene_from, SceneLike
+from timo_sim.simulation.finer import choose_parts, refine, tip_distance
 from timo_sim.simulation.warnings import (
     DivergenceError, inaccurate, MOST_APART, NO_FINER_RUN, unseen_load)
 
@@ -39,7 +39,7 @@ def measure_error(run: Run, find_remedy: bool = True) -> Run:
     more runs, otherwise all remedies.
     """
     scene = run.scene
-    if not can_refine(scene) or len(run.t) < 2:
+    if len(run.t) < 2:
         return run
     # Tips of a long run are compared at some of its samples, each of which takes a quarter step.
     samples = len(run.t) - 1
@@ -89,6 +89,8 @@ def _remedy(run, parts, error):
     """
     changes = {'a smaller integrator.step': (parts, 0, 0, True),
                'more model.modes': (1, None, 0, True)}
+    if not {*needed_static(run.scene)} <= {*run.scene.static}:
+        changes = {'model.static_modes auto': (1, 0, 0, False), **changes}
     if run.scene.values['model.formulation'] == 'exact':
         changes['model.axial_modes 1'] = 1, 0, 1, True
     else:

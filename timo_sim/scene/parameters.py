@@ -368,9 +368,10 @@ _ALL = [
     Parameter('model.formulation', 'exact', '', 'equations of motion',
               choices=tuple(FORMULATIONS)),
     Parameter('model.modes', 3, '', 'number of assumed modes; 0 is a rigid arm', low=0, high=40),
-    Parameter('model.static_modes', 'none', '', 'loads whose static shapes replace the last '
-              'modes: force or torque on the end effector, both, or the weight in gravity',
-              choices=('none', 'force', 'torque', 'both', 'weight')),
+    Parameter('model.static_modes', 'auto', '', 'loads whose static shapes follow the modes: '
+              'force or torque on the end effector, both, or the weight in gravity; auto: those '
+              'that a light end effector needs',
+              choices=('auto', 'none', 'force', 'torque', 'both', 'weight')),
     Parameter('model.axial_modes', 0, '', 'number of modes in which the arm stretches; they '
               'follow the bending modes in all lists; 0: it does not stretch; > 0 only with '
               'formulation exact', low=0, high=3),

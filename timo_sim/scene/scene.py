@@ -6,7 +6,8 @@
 from __future__ import annotations
 
 from bisect import bisect_left
-from collections.abc import Callable, Iterable, Mapping
+from collections.abc import Callable, Iterable, Iterator, Mapping
+from contextlib import contextmanager
 from dataclasses import dataclass, fields, replace
 from functools import cached_property, lru_cache, partial
 import math
@@ -21,6 +22,7 @@ from timo_sim.model import formulation_class
 from timo_sim.model.bodies import Beam, Constraints, Gear, Manipulator, Section
 from timo_sim.model.formulation import Formulation
 from timo_sim.model.layout import AFTER, ANGLE, INPUTS, SPEED, START
+from timo_sim.model.modes import compliance, modes_of
 from timo_sim.model.statics import equilibrium
 from timo_sim.scene.files import flatten, read_parameter_file
 from timo_sim.scene.loads import (
@@ -60,6 +62,8 @@ class Scene:
         Time step [s].
     values : mapping
         The scene's parameters by dotted name; `vary` returns a scene with others.
+    static : tuple of str
+        Loads whose static shapes follow the modes in bending, see `static_of`.
 
     Examples
     --------
@@ -74,6 +78,7 @@ class Scene:
     load: Load
     step: float
     values: Mapping[str, Any]
+    static: tuple[str, ...] = ()
 
     def __repr__(self) -> str:
         values, count = self.values, len(changed(self.values))
@@ -83,8 +88,8 @@ class Scene:
 
     @property
     def modal_count(self) -> int:
-        """Number of modal coordinates: in bending, of an elastic gear, then of axial modes."""
-        return modal_count(self.values)
+        """Number of modal coordinates: modes and static shapes, elastic gear, axial modes."""
+        return modal_count(self.values) + len(self.static)
 
     @property
     def outputs(self) -> list[Output]:
@@ -109,9 +114,9 @@ class Scene:
         values = self.values
         return _shared_model(
             values['model.formulation'], body, values['model.modes'],
-            tuple(np.ravel(damping).tolist()), self.constraints,
-            _STATIC[values['model.static_modes']], values['model.axial_modes'],
-            tuple(values['gravity']), basis or body, values['push.position'])
+            tuple(np.ravel(damping).tolist()), self.constraints, self.static,
+            values['model.axial_modes'], tuple(values['gravity']), basis or body,
+            values['push.position'])
 
     @cached_property
     def _own_model(self):
@@ -121,6 +126,16 @@ class Scene:
     def _damping(self):
         # Ratios of the modes of the clamped arm.
         values, damping = self.values, np.array(self.values['arm.damping_ratio'] or 0.0)
+        count, shapes = values['model.modes'], len(self.static)
+        if shapes:
+            arm = count + values['model.axial_modes']
+            if damping.size == 1 or damping.size == arm:
+                damping = np.insert(np.broadcast_to(damping, (arm,)), count, shapes * [
+                    np.ravel(damping)[min(count, damping.size) - 1]])
+            # A shape that the step does not resolve follows its load, without resonance.
+            omega = modes_of(self.manipulator, count, self.static).omega
+            damping[:count + shapes][(np.arange(count + shapes) >= count)
+                                     & (omega * self.step > _STATIC_PHASE)] += _STATIC_DAMPING
         if values['arm.damping_of'] == 'clamped' or not damping.any():
             return damping
         from timo_sim.model.formulation import clamped_ratios
@@ -185,6 +200,11 @@ class Scene:
         """Return the scene with other values by name, nested or dotted; else ParameterError."""
         return scene_from({**self.values, **check(flatten(overrides), 'override')})
 
+    def with_fixed_shapes(self) -> Scene:
+        """Return the scene with its static shapes named, so that `vary` keeps them."""
+        names = {loads: name for name, loads in _STATIC.items()}
+        return self.vary({'model.static_modes': names[self.static]})
+
     def at(self, run: Any, t: float) -> Scene:
         """
         Return the scene that begins with the state of a run of the same bodies at a sample, t [s].
@@ -246,7 +266,7 @@ class Scene:
             # At the end of the step before: what a step with a kink inside sees is not the load.
             position[2], velocity[2] = self.load.stages(-1, 1, self.step)[
                 0, AFTER, [ANGLE, SPEED]]
-        q, qdot = values['initial.modal_coordinates'], values['initial.modal_rates']
+        q, qdot = map(self.modal, ('initial.modal_coordinates', 'initial.modal_rates'))
         motion = np.concatenate([position, q or rest, velocity, qdot or rest])
         if not values['initial.equilibrium']:
             return motion
@@ -254,6 +274,13 @@ class Scene:
             return equilibrium(model, motion, self.load_at_start())
         except ValueError as error:
             raise ParameterError(f'initial.equilibrium = true: {error}') from None
+
+    def modal(self, name: str) -> tuple[float, ...]:
+        """Return a list of initial coordinates or rates with those of static shapes, or ()."""
+        given, count = self.values[name], self.values['model.modes']
+        if given and len(given) < self.modal_count:
+            given = (*given[:count], *len(self.static) * (0.0,), *given[count:])
+        return given
 
     def load_at_start(self) -> np.ndarray:
         """Return the scene's own load at t = 0, shape (LOADS,), see `model.layout`."""
@@ -308,21 +335,31 @@ def load_scene(source: SceneLike, overrides: Mapping[str, Any] | None = None) ->
     return scene_from(values)
 
 
-def scene_from(values: Mapping[str, Any]) -> Scene:
-    """Return the Scene of checked values, or raise ParameterError if they do not fit together."""
+def scene_from(values: Mapping[str, Any], static: tuple[str, ...] | None = None) -> Scene:
+    """
+    Return the Scene of checked values, or raise ParameterError if they do not fit together.
+
+    `static` are its static shapes, by default those of `model.static_modes`.
+    """
     values = MappingProxyType({
         name: tuple(value) if isinstance(value := values[name], list) else value
         for name in _SCENE_NAMES})
-    check_counts(values)
     check_gear(values)
     check_together(values)
+    body = manipulator_of(values)
+    if static is None:
+        chosen = values['model.static_modes']
+        with physical(values):
+            static = _needed_static(body, values['model.modes']) if chosen == 'auto' else (
+                _STATIC[chosen] if values['model.modes'] else ())
+    check_counts(values, static)
     payloads_of(values)
     step = values['integrator.step']
     for name in DELAYS:
         whole_ratio(name, values[name], 'integrator.step', step)
     load = Load({channel: _terms_of(channel, tuple([values[name] for name in names]), step)
                  for channel, names in _TERM_NAMES.items()}, _drive(values))
-    scene = Scene(manipulator_of(values), constraints_of(values), load, step, values)
+    scene = Scene(body, constraints_of(values), load, step, values, static)
     check_finite(scene)
     check_slope(scene)
     return scene
@@ -358,6 +395,34 @@ def project_on_modes(scene: Scene, deflection: Callable[[np.ndarray], Any],
 # The argument `static` of a Formulation, by `model.static_modes`.
 _STATIC = {'none': (), 'force': ('force',), 'torque': ('torque',), 'both': ('force', 'torque'),
            'weight': ('weight',)}
+# A static shape is damped by so much more if its phase in a step is above [rad].
+_STATIC_PHASE, _STATIC_DAMPING = 1.0, 1.0
+# Of the tip's static deflection and rotation, what the modes of a finer run may leave out.
+_LEFT_OUT = 1e-4, 1e-2
+MORE_MODES = 2  # of a finer run
+
+
+def needed_static(scene: Scene) -> tuple[str, ...]:
+    """
+    Return the loads on the tip whose static shapes a scene needs, see doc/theory.md (T9).
+
+    Of the responses to others, two more modes miss at most 1e-4 of the tip's deflection and 1e-2
+    of its rotation, so that a finer run sees what the modes miss. Whether the scene has such loads
+    does not count: a command may be one.
+    """
+    return _needed_static(scene.manipulator, scene.values['model.modes'])
+
+
+@lru_cache(maxsize=64)
+def _needed_static(body, count):
+    if not count:
+        return ()
+    for static in (), ('torque',):
+        for more in 0, MORE_MODES:  # few modes are found sooner
+            whole, seen = compliance(body, modes_of(body, count + more, static))
+            if (np.abs(1.0 - seen / whole) < np.transpose([_LEFT_OUT])).all():
+                return static
+    return _STATIC['both']
 
 
 # Scenes that differ in loads, limits or initial motion share their equations of motion.
@@ -545,7 +610,7 @@ def _same_length(lists):
 
 
 def modal_count(values: Mapping[str, Any]) -> int:
-    """Return the number of modal coordinates, axial ones included."""
+    """Return the number of modal coordinates, axial ones included, without static shapes."""
     return (values['model.modes'] + values['model.axial_modes']
             + (values['motor.gear.stiffness'] > 0.0))
 
@@ -611,15 +676,16 @@ def check_together(values: Mapping[str, Any]) -> None:
                     raise ParameterError(f'{name} needs {each.needs} > 0, got 0')
 
 
-def check_counts(values: Mapping[str, Any]) -> None:
+def check_counts(values: Mapping[str, Any], static: tuple[str, ...]) -> None:
     """Raise ParameterError if lengths of lists by mode do not fit the model."""
-    modes, axial = modal_count(values), values['model.axial_modes']
+    modes, axial, shapes = modal_count(values), values['model.axial_modes'], len(static)
     elastic = values['motor.gear.stiffness'] > 0.0
     if values['model.accuracy'] > 0.0:
-        modes = 0  # chosen later, so that lists with an element for each mode cannot be given
-    for name, allowed in (('arm.damping_ratio', (0, 1, max(modes - elastic, 0))),
-                          ('initial.modal_coordinates', (0, modes)),
-                          ('initial.modal_rates', (0, modes))):
+        modes = shapes = 0  # chosen later: no lists with an element for each mode can be given
+    arm = max(modes - elastic, 0)
+    for name, allowed in (('arm.damping_ratio', (0, 1, arm, arm + shapes)),
+                          ('initial.modal_coordinates', (0, modes, modes + shapes)),
+                          ('initial.modal_rates', (0, modes, modes + shapes))):
         if len(values[name]) not in allowed:
             expected = ' or '.join(str(count) for count in sorted(set(allowed)))
             cause = 'a stated model.accuracy' if values['model.accuracy'] else (
@@ -630,23 +696,31 @@ def check_counts(values: Mapping[str, Any]) -> None:
                                  f'{len(values[name])}')
 
 
-def check_finite(scene: Scene) -> None:
-    """Raise ParameterError if a scene's equations of motion, or energies, may overflow."""
+@contextmanager
+def physical(values: Mapping[str, Any]) -> Iterator[None]:
+    """Raise what the physics of these values raises as ParameterError, overflows included."""
     try:
         with np.errstate(over='raise', divide='raise', invalid='raise'):
-            finite = np.isfinite(scene.build().linear).all() and max(
-                scene.build().magnitude_bound, np.abs(scene.initial_motion()).max()) < _MAX_NUMBER
+            yield
     except ArithmeticError:
-        finite = False
+        raise ParameterError(
+            'the values of this scene are too large or too small together: its equations of '
+            'motion or its initial energy are not finite') from None
     except ParameterError:
         raise
     except ValueError as error:
         # Only the physics finds some errors, such as modes too close to each other.
-        raise ParameterError(f'model.formulation = {scene.values["model.formulation"]}, '
-                             f'model.modes = {scene.values["model.modes"]}: {error}') from None
-    if not finite:
-        raise ParameterError('the values of this scene are too large or too small together: its '
-                             'equations of motion or its initial energy are not finite')
+        raise ParameterError(f'model.formulation = {values["model.formulation"]}, '
+                             f'model.modes = {values["model.modes"]}: {error}') from None
+
+
+def check_finite(scene: Scene) -> None:
+    """Raise ParameterError if a scene's equations of motion, or energies, may overflow."""
+    with physical(scene.values):
+        if not (np.isfinite(scene.build().linear).all() and max(
+                scene.build().magnitude_bound, np.abs(scene.initial_motion()).max()
+                ) < _MAX_NUMBER):
+            raise OverflowError
 
 
 def find_implausible(values: Mapping[str, Any]) -> str | None:

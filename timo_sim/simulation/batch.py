@@ -16,7 +16,8 @@ from timo_sim.model.layout import (
     AFTER, INPUTS, LOADS, Motion, rotate, START, STEP_LOADS, TORQUE, VOLTAGE)
 from timo_sim.scene.loads import CHANNELS, Load
 from timo_sim.scene.parameters import Parameter, ParameterError, steps_in
-from timo_sim.scene.scene import load_scene, motor_constants, Scene, SceneLike
+from timo_sim.scene.scene import (
+    load_scene, motor_constants, Scene, scene_from, SceneLike)
 from timo_sim.simulation.loads import Actuators, commanded_load, limits_of
 from timo_sim.simulation.simulator import COUNT, MOST_BENT, SAMPLE_EVERY
 from timo_sim.simulation.warnings import divergence, unseen_load
@@ -119,8 +120,9 @@ class Batch:
     They are as many runs of `Simulator`, several times faster: the numbers of eight manipulators
     are one vector of the processor, see `compiled.lanes`. Formulation, numbers of modes,
     constraints and time step are the same for all; masses, stiffness, damping, limits, loads and
-    initial state may differ. What one manipulator does depends on its own scene and commands
-    alone, to the last bit; a `Simulator` does the same to about 1e-11. There is no estimate of the
+    initial state may differ. All have the static shapes that any of them needs. What one
+    manipulator does depends on these, its own scene and its commands alone, to the last bit; a
+    `Simulator` does the same to about 1e-11. There is no estimate of the
     error: try some of the scenes with `simulate`, which has one.
 
     Parameters
@@ -164,6 +166,7 @@ class Batch:
         if not self.scenes:
             raise ParameterError('scenes must have at least one element, got none')
         self.n, self._lock = len(self.scenes), threading.Lock()
+        self.scenes = _with_equal_shapes(self.scenes)
         _check(self.scenes)
         self._models = [scene.build() for scene in self.scenes]
         self._straight = np.array([[model.tip_point.lever[0], 0.0] for model in self._models])
@@ -308,6 +311,16 @@ class Batch:
         return samples, tips
 
 
+def _with_equal_shapes(scenes):
+    wanted = {load for scene in scenes for load in scene.static}
+    static, made = tuple(sorted(wanted)), {}
+    for scene in scenes:
+        if id(scene) not in made:
+            made[id(scene)] = (scene if scene.static == static else
+                               scene_from(scene.values, static))
+    return [made[id(scene)] for scene in scenes]
+
+
 def _check(scenes):
     """Raise ParameterError for scenes that a batch cannot do."""
     wanted = lane_size(scenes[0])
@@ -331,6 +344,7 @@ def lane_size(scene: Scene) -> dict[str, Any]:
         'carrier.held', 'motor.shaft')},
         **{f'{name} > 0': values[name] > 0.0 for name in (
             'push.position', 'hub.radius', 'motor.gear.stiffness')},
+        'the static shapes': scene.static,
         'motor.dc.current_limit < .inf': bool(scene.manipulator.motor_limit),
         'the number of nodes': len(scene.build().quadrature.nodes)}
 

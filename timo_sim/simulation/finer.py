@@ -14,6 +14,7 @@ frequency Omega its stretch is wrong by 2 Omega / omega of itself, a few per cen
 """
 
 from dataclasses import replace
+from functools import partial
 from typing import Any
 
 import numpy as np
@@ -22,13 +23,14 @@ from timo_sim.model.formulation import Formulation
 from timo_sim.model.layout import rotate
 from timo_sim.model.modes import axial_modes
 from timo_sim.scene.loads import on_boundaries
-from timo_sim.scene.scene import Scene, scene_from
+from timo_sim.scene.scene import MORE_MODES, needed_static, Scene, scene_from
 from timo_sim.simulation.warnings import unseen_load
 
-MORE_MODES, MORE_AXIAL, MOST_AXIAL = 2, 1, 3
+MORE_AXIAL = 1
 PARTS = 2, 8, 32  # of a step, from which those of the finer run are chosen
 # A load that is picked up excites modes without end: there the error falls as 1/N.
-_MODES_OF_IMPACT, _MOST_MODES = 4, 40
+_MODES_OF_IMPACT, _MOST_MODES = 4, 40 + MORE_MODES
+_MODES_OF_PUSH = 2  # a force within the arm makes a kink, whose error falls slowly, too
 # Largest phase in a step of the finer run of an axial vibration that is resolved [rad].
 _AXIAL_PHASE = 4.0
 _LISTS = 'initial.modal_coordinates', 'initial.modal_rates'
@@ -41,44 +43,54 @@ def refine(scene: Scene, parts: int, modes: int | None = None, axial: int = MORE
 
     It has so many further `modes` in bending, by default two, or three times the present ones
     where loads are picked up, too; and so many further `axial` modes. The first axial mode is
-    critically damped if its steps do not resolve it. Its formulation is `exact`, without static
-    modes, unless it has the `same_equations`.
+    critically damped if its steps do not resolve it. Its formulation is `exact`, and it has the
+    static shapes that loads on the tip need, unless it has the `same_equations`. Its space
+    contains that of the scene.
     """
-    values = scene.values
+    values, static = scene.values, scene.static
     bending, stretching = values['model.modes'], values['model.axial_modes']
+    if not same_equations:
+        static += tuple(load for load in needed_static(scene) if load not in static)
     if modes is None:
-        modes = min((_MODES_OF_IMPACT if scene.payloads else 1) * bending + MORE_MODES,
-                    _MOST_MODES) - bending
-    axial = min(axial, MOST_AXIAL - stretching)
+        pushed = scene.load.terms['push_x'] or scene.load.terms['push_y']
+        times = _MODES_OF_IMPACT if scene.payloads else _MODES_OF_PUSH if pushed else 1
+        modes = min(times * bending + MORE_MODES, _MOST_MODES) - bending
     if not bending:
         modes = axial = 0  # a rigid arm stays rigid
+    own, shapes = len(scene.static), len(static)
     lists: dict[str, Any] = {}
-    for name in _LISTS:
-        if values[name]:
-            across, along = values[name][:bending], values[name][bending:]
-            lists[name] = [*across, *modes * [0.0], *along, *axial * [0.0]]
+    initial = {name: scene.modal(name) for name in _LISTS if any(values[name])}
+    for name, given in initial.items():
+        across, along = given[:bending], given[bending + own:]
+        lists[name] = [*across, *(modes + shapes) * [0.0], *along, *axial * [0.0]]
     # Further modes have the damping of the last one, in terms of those of the clamped arm.
     damping = scene.build().damping.tolist()
-    across, along = damping[:bending], damping[len(damping) - stretching:]
-    further = (along or across)[-1:]
+    bent, stretched = damping[:bending] or [0.0], damping[len(damping) - stretching:]
+    further = (stretched or bent)[-1:]
     if axial and not stretching and _axial_phase(scene, scene.step / parts) > _AXIAL_PHASE:
         further = [1.0]
-    lists['arm.damping_ratio'] = [*across, *modes * across[-1:], *along, *axial * further]
+    lists['arm.damping_ratio'] = [*bent[:bending], *modes * bent[-1:], *stretched,
+                                  *axial * further]
     lists['arm.damping_of'] = 'clamped'
     # What counts as a boundary between two steps is one between two finer steps, too.
     lists.update((name, tuple(on_boundaries(value, scene.step).tolist()))
                  for name, value in values.items() if name.endswith('.time'))
-    equations = {} if same_equations else {'model.formulation': 'exact',
-                                           'model.static_modes': 'none'}
-    return scene_from({**values, **lists, **equations, 'model.accuracy': 0.0,
-                       'model.modes': bending + modes, 'model.axial_modes': stretching + axial,
-                       'integrator.step': scene.step / parts})
+    equations = {} if same_equations else {'model.formulation': 'exact'}
+    finer = scene_from({**values, **lists, **equations, 'model.accuracy': 0.0,
+                        'model.modes': bending + modes, 'model.axial_modes': stretching + axial,
+                        'integrator.step': scene.step / parts}, static)
+    if not own or not any(any(given[bending:bending + own]) for given in initial.values()):
+        return finer
+    # A static shape of the scene is a sum of further modes and a static shape of the finer one.
+    of, size = scene.build().modes, bending + modes + shapes
+    for name, given in initial.items():
+        fields = [partial(_field, each, np.array(given)) for each in (of.deflection, of.rotation)]
+        lists[name][:size] = finer.build().project_on_modes(*fields)[:size].tolist()
+    return scene_from({**finer.values, **lists}, static)
 
 
-def can_refine(scene: Scene) -> bool:
-    """Return whether a scene has a finer one: the coordinates of static modes have no meaning."""
-    return scene.values['model.static_modes'] == 'none' or not any(
-        any(scene.values[name]) for name in _LISTS)
+def _field(shapes, q, xi):
+    return shapes(xi) @ q
 
 
 def choose_parts(scene: Scene) -> tuple[int, ...]:

@@ -19,11 +19,11 @@ from timo_sim.compiled.machine import telling
 from timo_sim.model.formulation import PointsOfArm
 from timo_sim.model.layout import AFTER, Motion
 from timo_sim.scene.parameters import check_runtime, Parameter, ParameterError, short, steps_in
-from timo_sim.scene.scene import load_scene, Scene, SceneLike
+from timo_sim.scene.scene import load_scene, Scene, scene_from, SceneLike
 from timo_sim.simulation import warnings
 from timo_sim.simulation.derivatives import (
     StepDerivatives, unit_loads, why_not_differentiable)
-from timo_sim.simulation.finer import can_refine, choose_parts, refine, tip_distance
+from timo_sim.simulation.finer import choose_parts, refine, tip_distance
 from timo_sim.simulation.loads import (
     Actuators, commanded_load, LoadTable, tip_of, TipLoad)
 from timo_sim.simulation.snapshot import Sensors, Snapshot
@@ -95,7 +95,7 @@ class Simulator(PointsOfArm):
         self._first_body, self.tip_load = scene.manipulator, TipLoad(tip_of(scene))
         self._take(scene, scene.build())
         self._ends = self.integration.samples(1, 1)[1:]  # room for the samples of `step`
-        self._estimate = estimate and can_refine(scene)
+        self._estimate = estimate
         self._finer: Simulator | None = None
         self.reset()
 
@@ -181,6 +181,7 @@ class Simulator(PointsOfArm):
         Raises ParameterError if parameters differ that cannot be set while it runs.
         """
         check_runtime(self.scene.values, scene.values)
+        scene = scene_from(scene.values, self.scene.static)  # whatever its end effector needs
         with self._lock:
             self.measure_error()
             if self._finer:

@@ -1,0 +1,97 @@
+# Copyright 2026 The timo_sim authors
+# SPDX-License-Identifier: Apache-2.0
+
+"""Static shapes of loads on a light tip: the arc of a clamped arm under a tip torque."""
+
+import warnings
+
+import numpy as np
+import pytest
+import timo_sim
+
+BARE = {'arm.length': 1.0, 'arm.section.height': 0.01, 'arm.section.width': 0.03,
+        'arm.density': 2700.0, 'arm.young_modulus': 7e10, 'arm.shear_modulus': 2.6e10,
+        'end_effector.mass': 0.0, 'end_effector.inertia': 0.0, 'carrier.held': 'both',
+        'motor.shaft': 'locked', 'initial.shaft': 0.0}
+HEAVY = {'end_effector.mass': 2.0, 'end_effector.inertia': 0.5}
+TURN = 0.6  # of the tip [rad]
+
+
+def arc(scene):
+    """Return the torque that turns the tip by TURN [N m], and the tip of the arc [m]."""
+    arm = scene.manipulator.arm
+    return (TURN * arm.section.bending_stiffness / arm.length,
+            arm.length * np.array([np.sin(TURN), 1.0 - np.cos(TURN)]) / TURN)
+
+
+def soft_in_shear(ratio):
+    """Return overrides of BARE with kappa G A L^2 / (E I) = `ratio`."""
+    section = timo_sim.load_scene('paper', BARE).manipulator.arm.section
+    return {'arm.shear_modulus': BARE['arm.shear_modulus'] * ratio * section.bending_stiffness
+            / section.shear_stiffness}
+
+
+@pytest.mark.parametrize('shear', [{}, soft_in_shear(20.0)], ids=['slender', 'soft in shear'])
+@pytest.mark.parametrize('static', ['auto', 'none'])
+@pytest.mark.parametrize('modes', [3, 8, 16])
+def test_the_estimate_under_a_tip_torque_is_the_distance_to_the_arc(modes, static, shear):
+    values = {**BARE, **shear, 'initial.equilibrium': True, 'model.modes': modes,
+              'model.static_modes': static, 'load.tip_torque.piecewise.time': [0.0]}
+    torque, tip = arc(timo_sim.load_scene('paper', {**BARE, **shear}))
+    with warnings.catch_warnings():
+        warnings.simplefilter('ignore', timo_sim.ModelWarning)
+        run = timo_sim.simulate(timo_sim.load_scene(
+            'paper', {**values, 'load.tip_torque.piecewise.value': [torque]}), 0.02)
+    error, estimate = np.hypot(*(run.position()[-1] - tip)), run.stats['estimated_tip_error_m']
+    if static == 'auto':
+        assert error < 2e-8 and estimate < 2e-8
+    else:
+        assert 0.5 < estimate / error < 2.0 and error > 1e-5
+        assert error < 5e-4 or 'model.static_modes auto' in run.warning
+
+
+def test_shapes_follow_the_modes_and_only_a_light_tip_has_them():
+    light, heavy = (timo_sim.load_scene('paper', {**BARE, **tip}) for tip in ({}, HEAVY))
+    assert light.static == ('torque',) and heavy.static == ()
+    assert timo_sim.load_scene('paper', {**BARE, **soft_in_shear(20.0)}).static == (
+        'force', 'torque')
+    clamped = light.vary({'model.static_modes': 'none'}).build().modes.omega
+    np.testing.assert_array_equal(light.build().modes.omega[:3], clamped)
+    bent = light.vary({'initial.modal_coordinates': [0.1, 0.0, 0.0]})
+    assert bent.modal_count == 4 and bent.initial_motion()[6] == 0.0
+
+
+def test_commands_bend_a_light_tip_to_the_arc():
+    """By Simulator.step and by Batch.step, whose scenes have the shapes that any of them needs."""
+    light = timo_sim.load_scene('paper', {**BARE, 'arm.damping_ratio': [0.3]})
+    torque, tip = arc(light)
+    simulator = timo_sim.Simulator(light)
+    simulator.step(tip_torque=torque, duration=3.0)
+    batch = timo_sim.Batch([light, light.vary(HEAVY)])
+    batch.step(tip_torque=torque, duration=3.0)
+    assert batch.scenes[1].static == ('torque',)
+    # Measured: 8e-9; vibrations decay to exp(-0.3 52 3) = 5e-21 of the bend.
+    assert np.hypot(*(simulator.position() - tip)) < 1e-7
+    assert np.hypot(*(batch.position()[0] - tip)) < 1e-7
+
+
+def test_a_changed_end_effector_keeps_the_shapes():
+    simulator = timo_sim.Simulator(timo_sim.load_scene('paper', BARE))
+    simulator.change(simulator.scene.vary(HEAVY))
+    assert simulator.scene.static == ('torque',) and len(simulator.step().q) == 4
+
+
+@pytest.mark.parametrize('static', ['auto', 'both'])
+def test_two_shapes_of_a_sandwich_arm_do_not_resonate_with_the_step(static):
+    """Under a sudden force, of 0.3 m; the second shape has 24 rad in a step of 1 ms."""
+    scene = timo_sim.load_scene('paper', {
+        **BARE, **soft_in_shear(11.0), 'model.modes': 5, 'model.static_modes': static,
+        'load.tip_force_y.piecewise.time': [0.0], 'load.tip_force_y.piecewise.value': [120.0]})
+    with warnings.catch_warnings():
+        warnings.simplefilter('ignore', timo_sim.ModelWarning)
+        coarse, fine = (timo_sim.simulate(scene.vary({'integrator.step': step}), 0.5, every)
+                        for step, every in ((1e-3, 1), (1e-4, 10)))
+    # Measured: 0.016 m; the run of 1 ms without the damping was 0.11 m off.
+    error = np.hypot(*(coarse.position() - fine.position()).T).max()
+    assert error < 0.03 and 0.5 < coarse.stats['estimated_tip_error_m'] / error < 2.0
+    assert 'smaller integrator.step' in coarse.warning
