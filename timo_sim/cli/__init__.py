@@ -547,14 +547,11 @@ def urdf(scene: str, settings: tuple[str, ...], library: str | None) -> None:
     Lengths, masses, centres of mass and moments of inertia are those of the scene with a straight
     arm; the link arm includes the inertia of the shaft. Links have the names of the frames.
     """
-    from timo_sim.scene.files import read_parameter_file
-    from timo_sim.scene.parameters import check, DEFAULTS, frame_names
-    from timo_sim.scene.scene import load_scene
+    from timo_sim.scene.parameters import frame_names
+    from timo_sim.scene.scene import scene_from, values_of
     from timo_sim.scene.urdf import urdf_of
-    changes = parse_settings(settings)
-    loaded = load_scene(scene, changes)
-    own = check({**read_parameter_file(scene), **changes}, scene)
-    values = {**DEFAULTS, **own, **loaded.values}
+    values = values_of(scene, parse_settings(settings))
+    loaded = scene_from(values)
     control = None
     if library:
         from timo_sim.runs.ros2_control import write_hardware
