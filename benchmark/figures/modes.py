@@ -26,7 +26,7 @@ SPEEDS = 1.0, 2.0, 4.0  # over the first frequency at rest
 
 def draw_spinning(path):
     """Draw the frequencies of a bare arm over the speed, with tables and finite elements."""
-    scene = timo_sim.load_scene({**BARE, 'model.modes': 12})
+    scene = timo_sim.load_scene({}, {**BARE, 'model.modes': 12})
     section = scene.manipulator.arm.section
     unit = np.sqrt(section.bending_stiffness / section.mass_per_length)
     speed = np.linspace(0.0, 12.0, 25)
