@@ -50,7 +50,7 @@ def convergence():
     """Return the table of errors of the first two frequencies by the number of modes."""
     rows = []
     for name, values in ('bare, 1/1000 thin', BARE), ("the paper's", {'model.axial_modes': 1}):
-        scene = timo_sim.load_scene(values)
+        scene = timo_sim.load_scene({}, values)
         first = timo_sim.modes(scene, 0.0).omega[0]
         for share in SPEEDS:
             truth, cells = spinning(scene, share * first, 2), []

@@ -288,7 +288,7 @@ BENT = 3.2  # P l^2 / (E I)
 
 
 def test_the_boundary_value_solver_gives_the_closed_form():
-    section = timo_sim.load_scene(elastica.ARM).manipulator.arm.section
+    section = timo_sim.load_scene({}, elastica.ARM).manipulator.arm.section
     load = BENT * section.bending_stiffness / elastica.LENGTH**2
     found, closed = elastica.boundary_value(section, load, 0.0), elastica.elastica(BENT)
     # Shear adds EI / (kappa G A l^2) = 1.6e-6 of the deflection.
