@@ -208,8 +208,8 @@ def export_c(scene: Scene, output: str, target: str, estimate: bool, name: str) 
 @click.option('--fmi', type=click.Choice(['2', '3']), default='3', show_default=True,
               help='Version of FMI: 2.0 or 3.0.')
 @click.option('--estimate/--no-estimate', default=True, show_default=True, help=(
-    'Advance a finer run beside, for the output estimated_tip_error_m; it takes four to '
-    'seven times as long as the run alone.'))
+    'Advance a finer run beside, for the output estimated_tip_error_m; doc/scene.md says what '
+    'it costs.'))
 @click.option('--target', default='host', show_default=True, metavar='NAME', help=(
     'Processor that runs it: host (this one), x86-64-v2 or x86-64-v3 (many).'))
 def export_fmu(scene: Scene, output: str, fmi: str, estimate: bool, target: str) -> None:
@@ -255,7 +255,7 @@ def modes(scene: Scene, more: tuple[float, ...], speed: tuple[float, ...],
         timo_sim modes paper --set arm.damping_ratio=0.01 --png modes.png
         timo_sim modes spin_up --speed 0 3 6 --png campbell.png
 
-    The error is relative, from a model with three more modes.
+    The error is relative, from a model with two more modes.
     """
     from timo_sim.runs.modes import modes
     _require(matplotlib=png)
