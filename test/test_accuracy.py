@@ -83,7 +83,7 @@ def tip_of(run):
 @pytest.mark.parametrize('values, goal', KINDS.values(), ids=KINDS)
 @pytest.mark.filterwarnings('ignore::timo_sim.ModelWarning')  # about stretch
 def test_the_estimate_agrees_with_a_much_finer_run(values, goal):
-    choice = choose_resolution(timo_sim.load_scene({'model.accuracy': goal, **values}), 2.0)
+    choice = choose_resolution(timo_sim.load_scene({}, {'model.accuracy': goal, **values}), 2.0)
     finer = {'model.modes': 16, 'integrator.step': 5e-5}  # more modes than the choice tries
     run = timo_sim.simulate(choice.scene, 2.0, round(PERIOD / choice.scene.step), estimate=True)
     truth = choice.scene.vary(finer)
@@ -94,7 +94,7 @@ def test_the_estimate_agrees_with_a_much_finer_run(values, goal):
 
 
 def test_the_estimate_with_one_axis_held_agrees_with_spectral_elements():
-    scene = timo_sim.load_scene({
+    scene = timo_sim.load_scene({}, {
         'model.accuracy': 2e-4, **HEAVY, 'carrier.held': 'x', 'end_effector.inertia': 5.0})
     choice = choose_resolution(scene, 1.0)
     run = timo_sim.simulate(choice.scene, 1.0, round(PERIOD / choice.scene.step), estimate=False)
@@ -106,7 +106,7 @@ def test_the_estimate_with_one_axis_held_agrees_with_spectral_elements():
 def test_the_estimate_covers_a_long_run_to_its_end():
     """At 10 ms modes dominate the error for 2 s; by 120 s the error of the steps is larger."""
     goal, end = 3e-4, 120.0
-    scene = timo_sim.load_scene({'model.accuracy': goal, **HEAVY, 'end_effector.inertia': 0.5})
+    scene = timo_sim.load_scene({}, {'model.accuracy': goal, **HEAVY, 'end_effector.inertia': 0.5})
     choice = choose_resolution(scene, end)
     assert choice.scene.values['model.modes'] == 5 and choice.looked_at == end < choice.until
     run, truth, coarse = (tip_of(timo_sim.simulate(scene, end, round(PERIOD / scene.step),
@@ -134,7 +134,7 @@ def test_stretch_that_few_rounds_per_second_cause_is_measured():
 
 def test_a_step_must_suit_jumps_and_the_caller(paper):
     jump = {'load.torque.piecewise.time': [0.011], 'load.torque.piecewise.value': [1.0]}
-    choice = choose_resolution(timo_sim.load_scene({'model.accuracy': 1e-3, **jump}), 1.0)
+    choice = choose_resolution(timo_sim.load_scene({}, {'model.accuracy': 1e-3, **jump}), 1.0)
     assert choice.scene.step == 0.001
     choice = choose_resolution(timo_sim.load_scene(paper, {'model.accuracy': 1e-3}), 1.0,
                                lambda step: step <= 0.002)
@@ -157,7 +157,7 @@ def test_a_step_must_suit_jumps_and_the_caller(paper):
 ])
 def test_scenes_without_a_choice_are_refused(values, message):
     with pytest.raises(timo_sim.ParameterError, match=message):
-        choose_resolution(timo_sim.load_scene({'model.accuracy': 1e-3, **values}), 1.0,
+        choose_resolution(timo_sim.load_scene({}, {'model.accuracy': 1e-3, **values}), 1.0,
                           lambda step: step >= 0.001)
 
 

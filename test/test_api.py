@@ -166,7 +166,7 @@ BAD_ARGUMENTS = [
     (lambda scene: scene.at(timo_sim.simulate(scene, 0.01), np.nan), 't = nan s must be the time'),
     (lambda scene: scene.vary('arm'), "values must be given by name, got 'arm'"),
     (lambda scene: timo_sim.load_scene(None), 'values must be given by name, got None'),
-    (lambda scene: timo_sim.load_scene({'arm': {'length': 2.0}, 'arm.length': 3.0}),
+    (lambda scene: timo_sim.load_scene({}, {'arm': {'length': 2.0}, 'arm.length': 3.0}),
      'arm.length is given twice'),
     (lambda scene: timo_sim.linearize(timo_sim.load_scene({})).to_discrete(-0.002),
      'dt must be a finite number > 0 s, got -0.002')
@@ -254,16 +254,16 @@ def test_a_warning_names_the_line_of_the_caller(call, tmp_path, monkeypatch):
 def test_plausible_values_give_no_warning():
     with warnings.catch_warnings():
         warnings.simplefilter('error')
-        timo_sim.load_scene({'arm.profile.position': [0.0, 2.0],
-                             'arm.profile.young_modulus': [2e11, 2e9],
-                             'arm.profile.shear_modulus': [8e10, 8e8]})
+        timo_sim.load_scene({}, {'arm.profile.position': [0.0, 2.0],
+                                 'arm.profile.young_modulus': [2e11, 2e9],
+                                 'arm.profile.shear_modulus': [8e10, 8e8]})
         timo_sim.load_scene({'end_effector.mass': 0.0, 'end_effector.inertia': 0.01})
         for name in ('arm', 'paper', 'pick_and_place', 'spin_up', 'standing'):
             timo_sim.load_scene(name)
 
 
 def test_a_model_for_python_control():
-    model = timo_sim.linearize(timo_sim.load_scene({'arm.damping_ratio': [0.01]}))
+    model = timo_sim.linearize(timo_sim.load_scene({}, {'arm.damping_ratio': [0.01]}))
     ours = model.select(['torque_N_m'], ['shaft_rad', 'tip_transverse_m'])
     theirs = ours.to_control()
     assert theirs.input_labels == ['torque_N_m'] and theirs.isctime()
@@ -276,7 +276,7 @@ def test_a_model_for_python_control():
 
 def test_a_discrete_model_knows_its_period():
     """Poles are those of continuous time up to half the sampling rate; the response is in z."""
-    model = timo_sim.linearize(timo_sim.load_scene({'arm.damping_ratio': [0.01]})).select(
+    model = timo_sim.linearize(timo_sim.load_scene({}, {'arm.damping_ratio': [0.01]})).select(
         ['torque_N_m'], ['tip_transverse_m'])
     sampled = model.to_discrete(0.002)
     assert sampled.dt == 0.002 and sampled.to_control().dt == 0.002

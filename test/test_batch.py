@@ -44,8 +44,8 @@ SCENES = {
 
 def scene_of(name, formulation, **more):
     """Return a scene of `SCENES` at a step of 2 ms."""
-    return timo_sim.load_scene({'integrator.step': 0.002, 'model.formulation': formulation,
-                                'initial.shaft': 0.2, **SCENES[name], **more})
+    return timo_sim.load_scene({}, {'integrator.step': 0.002, 'model.formulation': formulation,
+                                    'initial.shaft': 0.2, **SCENES[name], **more})
 
 
 def commands(scene, lanes, random):
@@ -110,7 +110,7 @@ def test_bits_are_a_lanes_own(formulation):
 
 def test_one_fails_and_the_others_go_on():
     """A torque that breaks any arm stops one lane at its last good state, until a reset."""
-    scene = timo_sim.load_scene({'integrator.step': 0.01, 'arm.length': 2.0})
+    scene = timo_sim.load_scene({}, {'integrator.step': 0.01, 'arm.length': 2.0})
     calm, batch = timo_sim.Batch(scene, n=3), timo_sim.Batch(scene, n=3)
     calm.step(torque=5.0, duration=2.0)
     batch.step(torque=[5.0, 2000.0, 5.0], duration=2.0)

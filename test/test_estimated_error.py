@@ -206,9 +206,9 @@ def test_the_finer_run_follows_changes_and_resets():
 
 
 def test_the_error_of_an_equilibrium_is_known_before_the_first_step():
-    scene = timo_sim.load_scene({**elastica.ARM, 'model.formulation': 'newton',
-                                 'carrier.held': 'both', 'motor.shaft': 'locked',
-                                 'initial.shaft': 0.0, 'initial.equilibrium': True})
+    scene = timo_sim.load_scene({}, {**elastica.ARM, 'model.formulation': 'newton',
+                                     'carrier.held': 'both', 'motor.shaft': 'locked',
+                                     'initial.shaft': 0.0, 'initial.equilibrium': True})
     arm = scene.manipulator.arm
     force = 3.2 * arm.section.bending_stiffness / arm.length**2
     simulator = timo_sim.Simulator(scene.vary({
@@ -221,12 +221,12 @@ def test_the_error_of_an_equilibrium_is_known_before_the_first_step():
 
 
 def test_lists_of_modes_grow_with_the_modes():
-    scene = timo_sim.load_scene({
+    scene = timo_sim.load_scene({}, {
         'model.modes': 2, 'model.axial_modes': 1, 'arm.damping_ratio': [0.1, 0.2, 0.3],
         'initial.modal_coordinates': [1e-3, 2e-3, 3e-6], 'initial.modal_rates': [4.0, 5.0, 6.0]})
     fine = refine(scene, 2)
     assert fine.values['arm.damping_ratio'] == (0.1, 0.2, 0.2, 0.2, 0.3, 0.3)
-    coarse = timo_sim.load_scene({'integrator.step': 0.02, 'arm.damping_ratio': 0.1})
+    coarse = timo_sim.load_scene({}, {'integrator.step': 0.02, 'arm.damping_ratio': 0.1})
     unresolved = refine(coarse, 2)
     assert unresolved.values['arm.damping_ratio'] == (*5 * (0.1,), 1.0)
     motion = scene.initial_motion(), fine.initial_motion()

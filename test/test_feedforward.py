@@ -123,7 +123,7 @@ def test_the_nonlinear_arm_comes_to_rest_without_feedback():
     """Of the plan of a rigid arm, which is as fast, more than 20 times as much is left."""
     left = []
     for modes in (0, 3):
-        scene = timo_sim.load_scene({**ARM, 'motor.torque_limit': 18.0})
+        scene = timo_sim.load_scene({}, {**ARM, 'motor.torque_limit': 18.0})
         plant = timo_sim.linearize(scene.vary({'model.modes': modes})).select(['torque_N_m'])
         plan = timo_sim.feedforward(plant.to_discrete(DT), {'shaft_rad': 1.0}, 2.0, 18.0)
         simulator, bent = timo_sim.Simulator(scene), []

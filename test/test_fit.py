@@ -67,7 +67,7 @@ def test_held_values_give_a_rigid_shaft_their_impulse():
     random = np.random.default_rng(3)
     t, torque = np.cumsum(random.uniform(0.0005, 0.007, 60)), random.standard_normal(60)
     t -= t[0]
-    scene = timo_sim.load_scene({**ARM, 'model.modes': 0, 'motor.viscous_friction': 0.0})
+    scene = timo_sim.load_scene({}, {**ARM, 'model.modes': 0, 'motor.viscous_friction': 0.0})
     for delay in (0.0, 0.0031):
         record = predicted(scene, {'torque': (t, torque)}, ['shaft_velocity'],
                            {'torque.delay': delay})
@@ -83,7 +83,7 @@ def test_held_values_give_a_rigid_shaft_their_impulse():
 
 def test_values_joined_by_lines_are_the_table_of_a_scene():
     t, torque = [0.0, 0.01, 0.5, 3.0], [0.0, 0.05, -0.02, 0.0]
-    scene = timo_sim.load_scene({**ARM, 'load.torque.table': {'time': t, 'value': torque}})
+    scene = timo_sim.load_scene({}, {**ARM, 'load.torque.table': {'time': t, 'value': torque}})
     run = timo_sim.simulate(scene, T[-1], estimate=False)
     channel = Channel(np.array(t), np.array(torque), hold='linear')
     record = predicted(ARM, {'torque': channel}, ['shaft'])
@@ -182,7 +182,7 @@ def test_steep_friction_is_found_with_shorter_steps():
     record = predicted({**ARM, **MOTOR, **truth, 'integrator.step': 2.5e-4},
                        {'voltage': (T, VOLTAGE)}, ['shaft', 'tip_transverse'])
     with pytest.raises(timo_sim.ParameterError, match='must be at most'):
-        timo_sim.load_scene({**ARM, **MOTOR, **truth})
+        timo_sim.load_scene({}, {**ARM, **MOTOR, **truth})
     guess = {**ARM, **MOTOR, 'motor.coulomb_friction': 0.07, 'motor.coulomb_speed': 0.1}
     found = timo_sim.fit(guess, record, list(truth))
     # These steps are near the longest that are stable, which shows in the steep part.
@@ -244,7 +244,7 @@ def test_a_record_that_rests_at_first_is_fitted_where_it_moves():
     volts = np.where(t > 4.0, 4.0 * np.sign(np.sin(12.0 * t)), 0.0)
     record = noisy(predicted({**ARM, **MOTOR}, {'voltage': (t, volts)}, ['shaft'], t=t),
                    {'shaft': 1e-3})
-    problem = Problem(timo_sim.load_scene({**ARM, **MOTOR}), record, ['arm.length'], {}, t[-1])
+    problem = Problem(timo_sim.load_scene({}, {**ARM, **MOTOR}), record, ['arm.length'], {}, t[-1])
     assert 4.1 < first_part(problem) < 4.9
 
 
@@ -282,7 +282,7 @@ def test_a_loss_against_outliers():
     for loss in ('linear', 'cauchy'):
         found = timo_sim.fit(scene, record, free, loss=loss)
         errors.append(abs(np.log(found.values['motor.viscous_friction'] / 0.01)))
-    assert errors[1] < 0.01 < 3.0 * errors[1] + 0.02 and errors[1] < 0.5 * errors[0]
+    assert errors[1] < 0.01 and errors[1] < 0.5 * errors[0]
 
 
 def test_presliding_and_friction_at_rest_are_found():
@@ -385,7 +385,7 @@ def test_values_that_a_scene_cannot_have_are_told():
                              {'voltage': (T[:501], VOLTAGE[:501])}, ['shaft'], t=T[:501]),
                    {'shaft': 1e-4})
     with pytest.raises(timo_sim.ParameterError, match='slope') as caught:
-        timo_sim.load_scene({**scene, 'motor.coulomb_friction': 0.05, 'integrator.step': 0.01})
+        timo_sim.load_scene({}, {**scene, 'motor.coulomb_friction': 0.05, 'integrator.step': 0.01})
     step = float(re.search('at most (.*) s for', str(caught.value))[1])
     guess = {**scene, 'motor.coulomb_friction': 0.001, 'integrator.step': 40.0 * step}
     with pytest.warns(timo_sim.ModelWarning, match='ended where values are refused.*slope'):

@@ -21,7 +21,7 @@ PERIOD, DURATION = 0.004, 2.0
 T = PERIOD * np.arange(round(DURATION / PERIOD) + 1)
 TRUTH = {'arm.young_modulus': 200e9, 'end_effector.mass': 0.05, 'motor.viscous_friction': 0.05,
          'motor.shaft_inertia': 2e-3}
-SCENE = timo_sim.load_scene({
+SCENE = timo_sim.load_scene({}, {
     'arm.length': 0.42, 'arm.section.height': 0.001, 'arm.density': 7800.0,
     'arm.shear_modulus': 77e9,
     'arm.damping_ratio': [0.02], 'carrier.held': 'both', 'end_effector.inertia': 1e-5,

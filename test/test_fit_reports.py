@@ -17,7 +17,7 @@ from timo_sim.fitting.record import Channel
 T = 0.002 * np.arange(1001)
 VOLTAGE = 2.0 * np.sign(np.sin(9.0 * T)) + np.sin(2.0 * np.pi * (0.5 + 2.0 * T) * T)
 NOISE = {'shaft': 1e-3, 'tip_transverse': 3e-4}  # standard deviations [rad, m]
-ARM = timo_sim.load_scene({
+ARM = timo_sim.load_scene({}, {
     'arm.length': 0.42, 'arm.section.height': 0.001, 'arm.density': 7800.0,
     'arm.young_modulus': 2e11,
     'arm.shear_modulus': 77e9, 'arm.damping_ratio': [0.01], 'carrier.held': 'both',
@@ -170,7 +170,7 @@ def shaft_of(damping, inertia):
 def rigid():
     """Return the squares of residuals of a rigid shaft by logarithms, (2,), and its Fit."""
     inertia, damping, noise = 2.0, 0.5, 4.5e-3
-    scene = timo_sim.load_scene({
+    scene = timo_sim.load_scene({}, {
         'carrier.held': 'both', 'model.modes': 0, 'initial.shaft': 0.0, 'integrator.step': 0.008,
         'arm.length': 0.1, 'arm.section.height': 1e-4, 'end_effector.mass': 0.0,
         'end_effector.inertia': 0.0, 'motor.shaft_inertia': inertia,

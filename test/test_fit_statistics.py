@@ -14,7 +14,7 @@ GUESSES = {'arm.young_modulus': 1.3, 'motor.viscous_friction': 0.6, 'motor.shaft
 NOISE = {'shaft': 1e-3, 'tip_transverse': 5e-4}  # standard deviations [rad, m]
 T = PERIOD * np.arange(round(DURATION / PERIOD))
 TORQUE = 0.1 * np.sign(np.sin(5.0 * T + 0.3)) * np.cos(9.0 * T)
-SCENE = timo_sim.load_scene({
+SCENE = timo_sim.load_scene({}, {
     'arm.length': 0.42, 'arm.section.height': 0.001, 'arm.density': 7800.0,
     'arm.shear_modulus': 77e9,
     'arm.damping_ratio': [0.02], 'carrier.held': 'both', 'end_effector.mass': 0.05,

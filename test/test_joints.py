@@ -29,7 +29,7 @@ SCENES = {
 
 @pytest.mark.parametrize('values', SCENES.values(), ids=SCENES)
 def test_energy_is_the_work_of_efforts_minus_losses(values):
-    scene = timo_sim.load_scene({'integrator.step': 0.0005, **LOSSES, **values})
+    scene = timo_sim.load_scene({}, {'integrator.step': 0.0005, **LOSSES, **values})
     run = timo_sim.simulate(scene, 2.0)
     done = work(np.rint(run.t * 1e9), run.values[:, :3],
                 np.column_stack([run.carrier_velocity, run.shaft_velocity]), run.effort)
@@ -41,7 +41,7 @@ def test_energy_is_the_work_of_efforts_minus_losses(values):
 
 def test_a_driven_rigid_arm_on_a_carrier_held_along_x():
     """Momentum along y is 0; drive and guide give the rates of momentum and of spin."""
-    scene = timo_sim.load_scene({**TURN, 'carrier.held': 'x', 'model.modes': 0})
+    scene = timo_sim.load_scene({}, {**TURN, 'carrier.held': 'x', 'model.modes': 0})
     body, run = scene.manipulator, timo_sim.simulate(scene, 2.0)
     section, length = body.arm.section, body.arm.length
     beam = section.mass_per_length * length
@@ -63,7 +63,7 @@ def test_a_driven_rigid_arm_on_a_carrier_held_along_x():
 @pytest.mark.parametrize('formulation', ['exact', 'newton'])
 def test_force_on_a_held_carrier_is_the_rate_of_momentum_minus_the_loads(formulation):
     """It is m_t a_C - F, with differences of fourth order of the momentum."""
-    scene = timo_sim.load_scene({
+    scene = timo_sim.load_scene({}, {
         'model.formulation': formulation, **SCENES['carrier held'], 'initial.shaft_velocity': 4.0,
         'load.tip_force_x.harmonic.amplitude': [1.0], 'integrator.step': 0.0005,
         'load.tip_force_x.harmonic.frequency': [3.0]})
@@ -80,7 +80,7 @@ def test_force_on_a_held_carrier_is_the_rate_of_momentum_minus_the_loads(formula
 @pytest.mark.parametrize('presliding', [0.0, 1e-3])
 def test_efforts_agree_between_steps_log_and_run(presliding, tmp_path):
     """Also for a shaft with dry friction, which a run computes from its motion."""
-    scene = timo_sim.load_scene({
+    scene = timo_sim.load_scene({}, {
         **SCENES['y held'], 'motor.coulomb_friction': 2.0, 'initial.shaft': 0.0,
         'motor.coulomb_presliding': presliding,
         'load.tip_force_y.harmonic.amplitude': [2.0],
@@ -125,8 +125,8 @@ def shaft_inertia(scene):
 
 
 def test_viscous_friction_brakes_exponentially():
-    scene = timo_sim.load_scene({**RIGID, 'motor.viscous_friction': 3.0,
-                                 'initial.shaft_velocity': 2.0})
+    scene = timo_sim.load_scene({}, {**RIGID, 'motor.viscous_friction': 3.0,
+                                     'initial.shaft_velocity': 2.0})
     run = timo_sim.simulate(scene, 5.0)
     speed = 2.0 * np.exp(-3.0 * run.t / shaft_inertia(scene))
     assert np.abs(run.shaft_velocity - speed).max() < 1e-12
@@ -141,7 +141,7 @@ def test_viscous_friction_brakes_exponentially():
 
 def test_a_motor_reaches_the_speed_at_which_its_back_emf_is_the_voltage():
     """It approaches that speed with the time constant J R / (n k)^2."""
-    scene = timo_sim.load_scene({
+    scene = timo_sim.load_scene({}, {
         **RIGID, 'motor.dc.resistance': 0.5, 'motor.dc.torque_constant': 0.06,
         'motor.dc.gear_ratio': 50.0, 'motor.dc.voltage_limit': 24.0})
     motions, loads = commanded(scene, {0: [(VOLTAGE, 60.0)]}, 4000)
@@ -155,7 +155,7 @@ def test_stored_and_dissipated_energy_are_the_work_of_the_forces():
     """The forces are held to limits and rates; friction and damping take energy."""
     left = []
     for step in (0.002, 0.001):
-        scene = timo_sim.load_scene({
+        scene = timo_sim.load_scene({}, {
             'integrator.step': step, 'arm.damping_ratio': [0.02],
             'carrier.viscous_friction': 5.0,
             'motor.viscous_friction': 1.0, 'carrier.force_limit': 6.0,

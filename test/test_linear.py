@@ -57,8 +57,9 @@ TAPERED = {'arm.profile.position': [0.0, 0.4, 0.4, 1.0], 'arm.profile.height': [
     ('exact', {'carrier.held': 'y'}, [0, 2]), ('newton', {'carrier.held': 'x'}, [1, 2])], ids=str)
 def test_poles_are_the_frequencies_of_the_straight_arm(name, values, free, count):
     """All of them, the highest included, with the masses integrated at a hundred points."""
-    scene = timo_sim.load_scene({'model.formulation': name, 'model.modes': count,
-                                 'model.static_modes': 'none', 'initial.shaft': 0.3, **values})
+    scene = timo_sim.load_scene({}, {
+        'model.formulation': name, 'model.modes': count, 'model.static_modes': 'none',
+        'initial.shaft': 0.3, **values})
     model = timo_sim.linearize(scene)
     free = [*free, *range(3, 3 + count)]
     squares = scipy.linalg.eigvalsh(*reversed(straight(scene.build(), 0.3, free)))
@@ -75,7 +76,7 @@ def test_poles_are_the_frequencies_of_the_straight_arm(name, values, free, count
 
 @pytest.mark.parametrize('name', ['exact', 'newton'])
 def test_damping_ratio_of_a_clamped_mode(name):
-    scene = timo_sim.load_scene({
+    scene = timo_sim.load_scene({}, {
         'model.formulation': name, 'model.modes': 8, 'carrier.held': 'both',
         'motor.shaft': 'locked', 'arm.damping_ratio': [0.01, 0.02, 0.3, *5 * [0.0]]})
     poles = timo_sim.linearize(scene).poles()
@@ -98,8 +99,8 @@ def test_frequency_responses_converge_to_those_of_finite_elements(name, values, 
     """Up to 60 Hz, beyond resonances, also with a heavy tip, which hardly moves."""
     errors = []
     for modes in (4, 8):
-        scene = timo_sim.load_scene({'model.formulation': name, 'model.modes': modes,
-                                     'initial.shaft': 0.0, **values})
+        scene = timo_sim.load_scene({}, {'model.formulation': name, 'model.modes': modes,
+                                         'initial.shaft': 0.0, **values})
         beam, frequencies = LinearBeam(scene, held='carrier.held' in values), [1.0, 15.0, 60.0]
         model = timo_sim.linearize(scene).select([cause], OUTPUTS)
         found = model.frequency_response(frequencies)
@@ -125,8 +126,9 @@ def test_root_strain_needs_few_modes(name, values, cause):
     """Three modes do for quasi-static loads; at 15 Hz the strain converges as the motion does."""
     errors = []
     for modes in (3, 6):
-        scene = timo_sim.load_scene({'model.formulation': name, 'model.modes': modes,
-                                     'model.static_modes': 'none', 'initial.shaft': 0.0, **values})
+        scene = timo_sim.load_scene({}, {
+            'model.formulation': name, 'model.modes': modes, 'model.static_modes': 'none',
+            'initial.shaft': 0.0, **values})
         beam = LinearBeam(scene, held='carrier.held' in values, locked='motor.shaft' in values)
         model = timo_sim.linearize(scene).select([cause], ['root_strain'])
         found = model.frequency_response([0.1, 15.0])[:, 0, 0]
@@ -154,8 +156,8 @@ def test_static_shapes_converge_with_a_light_tip(name, tip, cause, static, at_15
     outputs, frequencies = ['tip_transverse_m', 'tip_rotation_rad'], [0.1, 15.0]
     errors = {}
     for shapes in (static, 'none'):
-        scene = timo_sim.load_scene({'model.formulation': name, 'model.modes': 4, **tip,
-                                     'initial.shaft': 0.0, 'model.static_modes': shapes})
+        scene = timo_sim.load_scene({}, {'model.formulation': name, 'model.modes': 4, **tip,
+                                         'initial.shaft': 0.0, 'model.static_modes': shapes})
         model, beam = timo_sim.linearize(scene).select([cause], outputs), LinearBeam(scene)
         expected = [[beam.response(cause, frequency)[name] for name in outputs]
                     for frequency in frequencies]
@@ -187,7 +189,7 @@ BENT = {'gravity': [2.0, -9.81], 'initial.equilibrium': True, 'carrier.held': 'b
 @pytest.mark.parametrize('name', ['exact', 'newton'])
 def test_outputs_are_derivatives_of_the_readings(name):
     """Of the simulator's sensors in gravity, where the arm is bent far, by central differences."""
-    scene = timo_sim.load_scene({'model.formulation': name, 'model.modes': 3, **BENT})
+    scene = timo_sim.load_scene({}, {'model.formulation': name, 'model.modes': 3, **BENT})
     model = timo_sim.linearize(scene).select(outputs=[
         'root_strain', 'tip_acceleration_along_m_per_s2', 'tip_acceleration_m_per_s2',
         'gyro_rad_per_s', 'tip_angle_rad'])
@@ -216,8 +218,8 @@ def test_damping_takes_its_share_of_the_root_moment():
     """The strain follows the moment without that of damping, here proportional to stiffness."""
     rate, frequency = 5e-4, 5.0
     omega = timo_sim.load_scene({'model.modes': 8}).build().modes.omega
-    scene = timo_sim.load_scene({'model.modes': 8, 'initial.shaft': 0.0,
-                                 'arm.damping_ratio': (0.5 * rate * omega).tolist()})
+    scene = timo_sim.load_scene({}, {'model.modes': 8, 'initial.shaft': 0.0,
+                                     'arm.damping_ratio': (0.5 * rate * omega).tolist()})
     model = timo_sim.linearize(scene).select(['tip_force_y_N'], ['root_strain'])
     expected = LinearBeam(scene, stress_damping=rate).response(
         'tip_force_y_N', frequency)['root_strain']
@@ -230,8 +232,8 @@ def test_damping_takes_its_share_of_the_root_moment():
 @pytest.mark.parametrize('name, step', [('exact', 0.005), ('newton', 0.0005)])
 def test_a_step_of_the_simulation_is_the_discrete_model(name, step):
     """Small deviations and held commands over one step: the difference is of second order."""
-    scene = timo_sim.load_scene({'model.formulation': name, 'model.modes': 3,
-                                 'arm.damping_ratio': [0.02], 'integrator.step': step})
+    scene = timo_sim.load_scene({}, {'model.formulation': name, 'model.modes': 3,
+                                     'arm.damping_ratio': [0.02], 'integrator.step': step})
     model = timo_sim.linearize(scene).to_discrete(step)
     random, small = np.random.default_rng(1), 1e-6
     for _ in range(3):
@@ -252,7 +254,7 @@ def test_a_step_of_the_simulation_is_the_discrete_model(name, step):
 @pytest.mark.parametrize('values', [{'carrier.held': 'x'}, {'motor.shaft': 'locked'}, BENT],
                          ids=['x held', 'locked', 'bent'])
 def test_motions_of_states_leave_what_is_no_state_at_rest(values):
-    scene = timo_sim.load_scene({**values, 'initial.carrier_y': 0.2, 'initial.carrier_x': 0.1})
+    scene = timo_sim.load_scene({}, {**values, 'initial.carrier_y': 0.2, 'initial.carrier_x': 0.1})
     model, rest = timo_sim.linearize(scene), scene.initial_motion()
     x = np.random.default_rng(1).normal(size=(2, 3, len(model.A)))
     motion = model.to_motion(x)
@@ -268,7 +270,7 @@ MOTOR = {'motor.dc.resistance': 2.0, 'motor.dc.torque_constant': 0.05, 'motor.dc
 
 def test_a_voltage_turns_a_rigid_arm_as_the_motor_s_constants_say():
     """`J theta'' = n k / R (V - n k theta')`: gain and pole in closed form."""
-    scene = timo_sim.load_scene({**MOTOR, 'model.modes': 0, 'carrier.held': 'both'})
+    scene = timo_sim.load_scene({}, {**MOTOR, 'model.modes': 0, 'carrier.held': 'both'})
     body, at_shaft = scene.manipulator, 7.0 * 0.05
     section, length = body.arm.section, body.arm.length
     inertia = (body.shaft_inertia + body.end_effector_mass * length**2 + body.end_effector_inertia
@@ -281,7 +283,7 @@ def test_a_voltage_turns_a_rigid_arm_as_the_motor_s_constants_say():
 
 
 def test_a_held_voltage_moves_the_simulated_arm_as_the_discrete_model():
-    scene = timo_sim.load_scene({**MOTOR, 'initial.shaft': 0.3})
+    scene = timo_sim.load_scene({}, {**MOTOR, 'initial.shaft': 0.3})
     model, simulator = timo_sim.linearize(scene).to_discrete(0.05), Simulator(scene)
     found = model.state(simulator.step(voltage=1e-3, duration=0.05))
     expected = 1e-3 * model.B[:, model.inputs.index('voltage_V')]
@@ -295,7 +297,7 @@ def test_a_held_voltage_moves_the_simulated_arm_as_the_discrete_model():
     ({'carrier.held': 'y', 'motor.shaft': 'locked', 'model.modes': 0},
      ['force_x_N', 'tip_force_x_N'])])
 def test_inputs_without_effect_are_left_out(values, inputs):
-    model = timo_sim.linearize(timo_sim.load_scene({'initial.shaft': 0.0, **values}))
+    model = timo_sim.linearize(timo_sim.load_scene({}, {'initial.shaft': 0.0, **values}))
     assert list(model.inputs) == inputs
 
 
@@ -329,9 +331,9 @@ def test_a_moving_scene_is_no_equilibrium(values):
 @pytest.mark.parametrize('ratios', [[0.01], [0.02, 0.005, 0.01]], ids=str)
 def test_damping_ratios_of_the_whole_manipulator(values, ratios):
     modes = values.get('model.modes', 3)
-    count = timo_sim.load_scene(values).modal_count
+    count = timo_sim.load_scene({}, values).modal_count
     ratios = ratios if len(ratios) == 1 else [*ratios, *[0.003] * (modes - 3)]
-    poles = timo_sim.linearize(timo_sim.load_scene({
+    poles = timo_sim.linearize(timo_sim.load_scene({}, {
         **values, 'arm.damping_ratio': ratios, 'arm.damping_of': 'system'})).poles()
     poles = poles[poles.imag > 1.0]
     assert len(poles) == count
@@ -341,5 +343,5 @@ def test_damping_ratios_of_the_whole_manipulator(values, ratios):
 
 def test_damping_ratios_that_no_clamped_modes_give_are_refused():
     with pytest.raises(timo_sim.ParameterError, match='mode 1 would need a ratio of -0.008'):
-        timo_sim.load_scene({'motor.shaft_inertia': 1e-3, 'arm.damping_ratio': [0.01],
-                             'model.modes': 5, 'arm.damping_of': 'system'})
+        timo_sim.load_scene({}, {'motor.shaft_inertia': 1e-3, 'arm.damping_ratio': [0.01],
+                                 'model.modes': 5, 'arm.damping_of': 'system'})

@@ -62,7 +62,7 @@ def test_tip_is_within_three_deviations_in_99_percent_of_the_samples_of_100_seed
 
 
 def test_imu_on_a_free_carrier():
-    runs = Runs(timo_sim.load_scene({**ARM, **IMU, 'carrier.held': 'none'}), 20, 30)
+    runs = Runs(timo_sim.load_scene({}, {**ARM, **IMU, 'carrier.held': 'none'}), 20, 30)
     assert runs.observer.sensors == ('tip_acceleration', 'gyro', 'encoder')
     assert (abs(runs.tips) < 3.0).mean() > 0.99
     squares = runs.innovations**2
@@ -90,7 +90,7 @@ def textbook(model, noise, measured, torques, first):
 
 def test_small_motions_are_those_of_a_textbooks_filter():
     """Of the linear model, covariance form; some strains are not measured."""
-    scene = timo_sim.load_scene({**ARM, 'sensor.encoder.resolution': 0.0})
+    scene = timo_sim.load_scene({}, {**ARM, 'sensor.encoder.resolution': 0.0})
     observer = timo_sim.observer(scene, disturbance={'torque': (SIZE, TIME)})
     model = timo_sim.linearize(scene).select(
         ['torque_N_m'], ['shaft_rad', 'root_strain']).to_discrete(0.003)
@@ -113,7 +113,7 @@ def test_small_motions_are_those_of_a_textbooks_filter():
 
 def test_arm_that_swings_in_gravity_needs_the_nonlinear_model():
     """An arm that hangs at rest swings up by half a turn; the linear filter has the same noise."""
-    scene = timo_sim.load_scene({
+    scene = timo_sim.load_scene({}, {
         **ARM, 'gravity': [0.0, -9.81], 'initial.shaft': -np.pi / 2})
     arm = timo_sim.Simulator(scene)
     observer = timo_sim.observer(scene, disturbance={'torque': (SIZE, TIME)})
@@ -149,7 +149,7 @@ def test_deviation_of_the_deflection_is_that_of_motions_drawn_from_the_covarianc
 
 
 def test_sensors_that_are_not_measured_are_expected():
-    scene = timo_sim.load_scene({**ARM, 'sensor.root_strain.bias': 1e-5})
+    scene = timo_sim.load_scene({}, {**ARM, 'sensor.root_strain.bias': 1e-5})
     arm, observer = timo_sim.Simulator(scene), timo_sim.observer(scene, ['encoder'])
     quiet, shown = timo_sim.Simulator(scene.vary({'sensor.root_strain.noise': 0.0})), []
     for k in range(100):
@@ -226,7 +226,7 @@ def test_bad_updates_are_refused_and_change_nothing(measured, command, dt, text)
 
 def test_without_measurements_the_model_goes_on():
     """Also with a torque that is limited, over a long time, and other disturbances."""
-    scene = timo_sim.load_scene({**ARM, 'motor.torque_limit': 2.0})
+    scene = timo_sim.load_scene({}, {**ARM, 'motor.torque_limit': 2.0})
     observer = timo_sim.observer(scene, disturbance={'tip_force': (0.1, 0.0), 'torque': (0.0, 1)})
     arm = timo_sim.Simulator(scene)
     assert observer.states[-3:] == ('disturbance_tip_force_x_N', 'disturbance_tip_force_y_N',

@@ -31,7 +31,7 @@ def test_rates_are_derivatives_of_the_coordinates(paper):
 
 
 def test_energy_is_balanced_whatever_the_samples(tmp_path):
-    scene = timo_sim.load_scene({
+    scene = timo_sim.load_scene({}, {
         'model.modes': 5, 'arm.damping_ratio': [0.02], 'motor.viscous_friction': 0.5,
         'load.torque.harmonic.amplitude': [5.0], 'load.torque.harmonic.frequency': [1.5],
         'initial.modal_rates': [0.0, 1.0, 0.3, 0.0, 0.0]})

@@ -5,6 +5,7 @@
 
 import math
 import os
+from pathlib import Path
 import pickle
 import warnings
 
@@ -12,11 +13,12 @@ from click.testing import CliRunner
 from hypothesis import example, given, HealthCheck, settings, strategies as st
 import numpy as np
 import pytest
+import yaml
 
 from oracles import elastica
 import timo_sim
 from timo_sim.cli import main
-from timo_sim.scene.files import read_parameter_file
+from timo_sim.scene.files import read_parameter_file, scene_text
 from timo_sim.scene.parameters import PARAMETERS, SCENE, short
 
 
@@ -26,7 +28,8 @@ def test_paper_file_gives_the_defaults_and_the_papers_loads(paper):
     rest = {name: value for name, value in values.items() if name not in loads}
     defaults = {name: parameter.default for name, parameter in PARAMETERS.items()
                 if not name.startswith('load.') and parameter.default != ()}
-    assert not defaults.keys() - rest.keys(), 'config/paper.yaml lacks these parameters'
+    lacking = sorted(defaults.keys() - rest.keys())
+    assert not lacking, f'config/paper.yaml lacks {", ".join(lacking)}'
     assert rest == {name: [*default] if isinstance(default, tuple) else default
                     for name, default in defaults.items()}
     assert {name: value for name, value in loads.items() if 'phase' not in name} == {
@@ -60,7 +63,7 @@ REFUSED = [
     ('arm.length', math.inf, 'got inf'),
     ('arm.length', True, 'got True'),
     ('arm.length', 'two', "got 'two'"),
-    ('carrier.mass', 0.0, 'carrier.mass must be a finite number > 0 kg'),
+    ('carrier.mass', 0.0, 'carrier.mass must be > 0 kg with carrier.held = none, got 0'),
     ('model.modes', 41, 'model.modes must be a whole number >= 0 and <= 40, got 41'),
     ('model.formulation', 'fancy', "must be one of exact, newton, .*got 'fancy'"),
     ('initial.modal_rates', [1.0], 'must have 0 or 3 elements for model.modes = 3, got 1'),
@@ -124,16 +127,74 @@ CONTRADICTIONS = [
 def test_values_that_do_not_fit_together_are_refused():
     for values, words in CONTRADICTIONS:
         with pytest.raises(timo_sim.ParameterError, match=words):
-            timo_sim.load_scene(values)
+            timo_sim.load_scene({}, values)
 
 
 def test_a_tapered_arm_and_a_driven_shaft_are_read():
-    scene = timo_sim.load_scene({**PROFILE, **DRIVE})
+    scene = timo_sim.load_scene({}, {**PROFILE, **DRIVE})
     assert scene.manipulator.arm.at([0.5]).height == pytest.approx([0.025])
     assert scene.manipulator.arm.at([0.5]).width == 0.02
     assert scene == timo_sim.load_scene(scene.values)
     assert scene.initial_motion()[2] == 0.0  # the drive's, not initial.shaft
     assert scene.constraints.driven
+
+
+ROOT = Path(__file__).parents[1]
+# All that a scene of its own has to give, here with a shaft and a carrier that move.
+OWN = {'arm.length': 0.5, 'arm.section.width': 0.02, 'arm.section.height': 0.002,
+       'arm.density': 2700.0, 'arm.young_modulus': 7e10, 'arm.shear_modulus': 2.6e10,
+       'motor.shaft_inertia': 0.01, 'carrier.mass': 1.0}
+
+
+def test_a_scene_that_gives_an_arm_has_no_number_of_the_papers():
+    values = timo_sim.load_scene(OWN).values
+    paper = timo_sim.load_scene({}).values
+    for name in ('motor.mass', 'end_effector.mass', 'end_effector.inertia', 'initial.shaft'):
+        assert values[name] == 0.0 < paper[name]
+    assert values['integrator.step'] == paper['integrator.step']
+    assert timo_sim.load_scene({}, OWN).values['initial.shaft'] == paper['initial.shaft']
+    assert timo_sim.load_scene({'hub.radius': 0.1}).values['arm.length'] == 2.0
+
+
+@pytest.mark.parametrize('name', OWN)
+def test_what_nobody_can_assume_of_an_arm_is_asked_for_by_name(name):
+    rest = {each: value for each, value in OWN.items() if each != name}
+    with pytest.raises(timo_sim.ParameterError, match=f'^{name} must be given'):
+        timo_sim.load_scene(rest)
+    assert timo_sim.load_scene(rest, {name: OWN[name]}) == timo_sim.load_scene(OWN)
+
+
+def test_what_stands_for_a_section_a_material_or_a_joint_that_moves_is_enough():
+    fixed = {'arm.length': 0.5, 'motor.shaft': 'locked', 'carrier.held': 'both'}
+    section = {'arm.section.width': 0.02, 'arm.section.height': 0.002}
+    measured = {'arm.section.bending_stiffness': 1.0, 'arm.section.mass_per_length': 0.1}
+    for values in ({**section, 'arm.material': 'steel'}, measured):
+        assert timo_sim.load_scene({**fixed, **values}).values['carrier.mass'] == 0.0
+
+
+@pytest.mark.parametrize('path', sorted(
+    path for path in [*ROOT.glob('config/*.yaml'), *ROOT.glob('example/**/*.yaml')]
+    if '\n/**:\n' in path.read_text()), ids=lambda path: path.stem)
+def test_scenes_that_are_saved_and_loaded_are_the_same(path, tmp_path):
+    with warnings.catch_warnings():
+        warnings.filterwarnings('error', 'values that this scene leaves out')
+        scene = timo_sim.load_scene(path)
+        saved = tmp_path / 'saved.yaml'
+        saved.write_text(scene_text(scene.values))
+        assert timo_sim.load_scene(saved).values == scene.values
+    given = read_parameter_file(saved)
+    assert {'scene_version', 'arm.density', *OWN, 'motor.mass', 'initial.shaft'} <= {*given}
+
+
+def test_a_file_without_version_tells_which_numbers_are_no_longer_the_papers(tmp_path):
+    path = tmp_path / 'scene.yaml'
+    path.write_text(yaml.safe_dump({**OWN, 'end_effector.mass': 0.1, 'motor.mass': 1.0,
+                                    'end_effector.inertia': 1e-5}))
+    with pytest.warns(timo_sim.ModelWarning, match=r'initial.shaft = 0 \(was 0.785398\); give'):
+        timo_sim.load_scene(path)
+    with warnings.catch_warnings():
+        warnings.simplefilter('error')
+        timo_sim.load_scene(path, {'scene_version': 1})
 
 
 @pytest.mark.parametrize('make', [os.mkfifo, lambda path: path.symlink_to('/dev/zero')])
@@ -176,7 +237,7 @@ def test_the_shape_of_the_weight_is_worth_modes():
 
 def test_a_scene_cannot_be_changed():
     """Its bodies and loads would not follow; `vary` makes another scene."""
-    scene = timo_sim.load_scene({'arm.damping_ratio': [0.1]})
+    scene = timo_sim.load_scene({}, {'arm.damping_ratio': [0.1]})
     for each in (scene, pickle.loads(pickle.dumps(scene)), scene.vary({})):
         with pytest.raises(TypeError):
             each.values['end_effector.mass'] = 3.0
@@ -308,7 +369,7 @@ HOSTILE = [
 def test_values_alone_are_a_scene(tmp_path, text):
     path = tmp_path / 'scene.yaml'
     path.write_text(text)
-    assert timo_sim.load_scene(path) == timo_sim.load_scene({'arm.length': 0.7})
+    assert timo_sim.load_scene(path) == timo_sim.load_scene({}, {'arm.length': 0.7})
 
 
 @pytest.mark.parametrize('text', [

@@ -18,7 +18,7 @@ SIZES = {'rectangle': {}, 'round': {}, 'tube': {'wall': WALL}, 'box': {'wall': W
 
 
 def scene_of(shape, **more):
-    return timo_sim.load_scene({'arm': {
+    return timo_sim.load_scene({}, {'arm': {
         'section': {'shape': shape, 'width': WIDTH, 'height': HEIGHT, **SIZES[shape]}, **more}})
 
 
@@ -78,7 +78,7 @@ def test_shear_coefficients_are_those_of_cowper():
     def coefficient(shape, poisson, **sizes):
         modulus = {'young_modulus': 1e9, 'shear_modulus': 0.5e9 / (1.0 + poisson)}
         section = {'shape': shape, 'width': WIDTH, 'height': HEIGHT, **sizes}
-        return timo_sim.load_scene({'arm': {'section': section, **modulus}}
+        return timo_sim.load_scene({}, {'arm': {'section': section, **modulus}}
                                    ).manipulator.arm.section.shear_coefficient
     for nu in (0.0, 0.3):
         assert coefficient('round', nu) == pytest.approx(6.0 * (1.0 + nu) / (7.0 + 6.0 * nu))
@@ -103,7 +103,7 @@ def test_measured_values_take_the_place_of_shape_and_material():
     """A slender arm has its frequency of them; closed form and Galerkin agree on a thick one."""
     arm = {'length': 0.8, 'section': {**MEASURED, 'rotary_inertia': 1e-9, 'shear_stiffness': 1e9}}
     bare = {'end_effector.mass': 0.0, 'end_effector.inertia': 0.0}
-    omega = timo_sim.load_scene({'arm': arm, **bare}).build().modes.omega[0]
+    omega = timo_sim.load_scene({}, {'arm': arm, **bare}).build().modes.omega[0]
     assert omega == pytest.approx(1.8751041**2 * np.sqrt(12.0 / (0.3 * 0.8**4)), rel=1e-6)
     thick, along = ({'arm': {'length': 0.3, **each}, 'model.axial_modes': 1,
                     'end_effector.inertia': 0.001} for each in (
@@ -114,7 +114,7 @@ def test_measured_values_take_the_place_of_shape_and_material():
 
 
 def test_materials_and_what_is_given_beside_them(tmp_path):
-    values = timo_sim.load_scene({'arm': {'material': 'steel', 'density': 2710.0}}).values
+    values = timo_sim.load_scene({}, {'arm': {'material': 'steel', 'density': 2710.0}}).values
     assert values['arm.young_modulus'] == 210e9 and values['arm.density'] == 2710.0
     assert values['arm.shear_modulus'] == pytest.approx(210e9 / 2.6)
     brass = timo_sim.load_scene(values, {'arm.material': 'brass'})
@@ -134,5 +134,5 @@ def test_materials_and_what_is_given_beside_them(tmp_path):
     ({'shape': 'ring'}, 'shape must be one of rectangle, round, tube, box, i')])
 def test_sections_that_cannot_be_are_refused(section, message):
     with pytest.raises(timo_sim.ParameterError, match=f'arm.section.{message}'):
-        timo_sim.load_scene({'arm.section': section, **(
+        timo_sim.load_scene({}, {'arm.section': section, **(
             {'arm.section.height': 0.02} if section == {'height': 0.01} else {})})

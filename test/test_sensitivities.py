@@ -33,7 +33,7 @@ def shaft(batch):
 
 
 def test_rigid_arm_under_torques():
-    scene = timo_sim.load_scene({**HELD, 'model.modes': 0})
+    scene = timo_sim.load_scene({}, {**HELD, 'model.modes': 0})
     inertia, torques = rigid(scene)[0], np.array([3.0, -1.0, 2.0, 5.0])
     found = timo_sim.sensitivities(
         scene, 0.4, shaft, ['motor.shaft_inertia', 'initial.shaft_velocity'],
@@ -53,7 +53,7 @@ def test_rigid_arm_under_torques():
 
 def test_flow_and_inputs_of_an_arm_at_rest_are_those_of_its_linear_model():
     """Near rest the Jacobian is A^k of the sampled model, and A^k B, without approximation."""
-    scene = timo_sim.load_scene({'initial.shaft': 0.0, 'arm.damping_ratio': [0.02]})
+    scene = timo_sim.load_scene({}, {'initial.shaft': 0.0, 'arm.damping_ratio': [0.02]})
     count, duration = 5, 0.25
     model = timo_sim.linearize(scene).select(['torque_N_m'], ['shaft_rad']).to_discrete(
         duration / count)
@@ -113,7 +113,7 @@ def test_estimated_errors_hold_for_an_arm_that_bends():
 
 
 def test_a_limit_is_a_kink_of_which_the_error_tells():
-    scene = timo_sim.load_scene({**HELD, 'model.modes': 0, 'motor.torque_limit': 4.0})
+    scene = timo_sim.load_scene({}, {**HELD, 'model.modes': 0, 'motor.torque_limit': 4.0})
     one_sided = 0.1**2 / (2.0 * rigid(scene)[0])
     with pytest.warns(timo_sim.ModelWarning, match='estimated error .* by torque'):
         found = timo_sim.sensitivities(scene, 0.1, shaft, commands={'torque': [4.0]})

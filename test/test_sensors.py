@@ -98,7 +98,7 @@ def test_imu_on_a_rigid_arm(formulation):
 def test_root_strain_follows_from_the_moment_on_the_shaft(formulation):
     """The moment is J_m theta'' minus torque and friction; differences of fourth order."""
     torque, friction = 1.5, 0.5
-    scene = timo_sim.load_scene({
+    scene = timo_sim.load_scene({}, {
         'model.formulation': formulation, **MOVING, 'motor.viscous_friction': friction,
         'load.torque.piecewise.time': [0.0], 'load.torque.piecewise.value': [torque]})
     simulator, section = Simulator(scene), scene.manipulator.arm.section
@@ -119,7 +119,7 @@ def test_root_strain_follows_from_the_moment_on_the_shaft(formulation):
 @pytest.mark.parametrize('formulation', ['exact', 'newton', 'newton_rigid_axial'])
 def test_strain_under_a_constant_force_is_that_of_statics(formulation):
     """Of a locked arm, damped to rest: F l h / (2 E I), and no acceleration."""
-    scene = timo_sim.load_scene({
+    scene = timo_sim.load_scene({}, {
         'carrier.held': 'both', 'motor.shaft': 'locked', 'initial.shaft': 0.0,
         'arm.damping_ratio': [0.7], 'load.tip_force_y.piecewise.time': [0.0],
         'model.formulation': formulation, 'load.tip_force_y.piecewise.value': [1e-3]})

@@ -63,7 +63,7 @@ def test_derivatives_are_those_of_three_steps(values):
 
 def test_a_simulator_goes_on_as_by_step_and_has_the_derivatives_of_what_acts():
     """Of a motor that reaches its limit, and by a voltage."""
-    scene = timo_sim.load_scene({
+    scene = timo_sim.load_scene({}, {
         **MOVING, 'carrier.held': 'both', 'motor.torque_limit': 8.0, 'motor.dc.resistance': 2.0,
         'motor.dc.torque_constant': 0.5, 'motor.dc.gear_ratio': 3.0})
     simulator, other = timo_sim.Simulator(scene), timo_sim.Simulator(scene)

@@ -18,7 +18,7 @@ from timo_sim.steps.steps import Steps
 
 def error_of(step, every, duration=4.0, axial=1, **values):
     """Return the true error of the tip, the estimate and the run."""
-    scene = timo_sim.load_scene({'integrator.step': step, 'model.modes': 5, **values})
+    scene = timo_sim.load_scene({}, {'integrator.step': step, 'model.modes': 5, **values})
     with warnings.catch_warnings():
         warnings.simplefilter('ignore', timo_sim.ModelWarning)
         run = timo_sim.simulate(scene, duration, every)
@@ -111,7 +111,7 @@ def history(scene):
 @pytest.mark.parametrize('formulation', FORMULATIONS)
 @pytest.mark.parametrize('held', ['none', 'x'])
 def test_skipped_steps_give_the_same_bits_as_computed_ones(formulation, held, monkeypatch):
-    scene = timo_sim.load_scene({
+    scene = timo_sim.load_scene({}, {
         'model.formulation': formulation, 'carrier.held': held, 'initial.shaft': 0.7,
         'initial.carrier_x': 0.3, 'initial.carrier_y': -1.7, 'arm.damping_ratio': [0.01]})
     skipped = history(scene)

@@ -25,7 +25,7 @@ SOFT = {'arm.length': 1.0, 'arm.section.width': 0.05, 'arm.section.height': 0.1,
 @pytest.mark.parametrize('found, tolerance', [('modes', 9e-4), ('oracle', 6e-4)])
 def test_spinning_arms_have_the_frequencies_of_the_literature(found, tolerance):
     """As thin as 1/5000, with twelve modes; the table has three decimals."""
-    scene = timo_sim.load_scene({**BARE, 'arm.section.height': 2e-4, 'model.modes': 12})
+    scene = timo_sim.load_scene({}, {**BARE, 'arm.section.height': 2e-4, 'model.modes': 12})
     section = scene.manipulator.arm.section
     unit = np.sqrt(section.bending_stiffness / section.mass_per_length)
     speeds = np.array([*WRIGHT])
@@ -42,7 +42,7 @@ def test_spinning_arms_have_the_frequencies_of_the_literature(found, tolerance):
     (SOFT, (0.0, 20.0, 60.0)), ({'model.modes': 12}, (0.0, 10.0, 30.0))], ids=['soft', 'paper'])
 def test_spinning_arms_that_stretch_have_the_frequencies_of_finite_elements(values, speeds):
     """The first three; up to one and a half and three times the first one at rest."""
-    scene = timo_sim.load_scene({'model.modes': 8, 'model.axial_modes': 3, **values})
+    scene = timo_sim.load_scene({}, {'model.modes': 8, 'model.axial_modes': 3, **values})
     for speed in speeds:
         expected = spinning(scene, speed, 3)
         assert timo_sim.modes(scene, speed).omega[:3] == pytest.approx(expected, rel=1e-4)
@@ -53,7 +53,7 @@ def test_spinning_arms_that_stretch_have_the_frequencies_of_finite_elements(valu
 
 def test_the_stated_error_is_that_of_the_frequencies():
     """Of a spinning arm, which converges with the number of modes."""
-    scene, speed = timo_sim.load_scene({**BARE, 'arm.section.height': 0.002}), 60.0
+    scene, speed = timo_sim.load_scene({}, {**BARE, 'arm.section.height': 0.002}), 60.0
     expected, errors = spinning(scene, speed, 3), []
     for count in (3, 5, 8):
         found = timo_sim.modes(scene.vary({'model.modes': count}), speed)
@@ -68,7 +68,7 @@ def test_the_stated_error_is_that_of_the_frequencies():
                          ids=str)
 def test_shapes_and_frequencies_at_rest_are_those_of_finite_elements(values):
     """With the carrier, the shaft and the tip of the paper."""
-    scene = timo_sim.load_scene({'model.modes': 8, 'initial.shaft': 0.0, **values})
+    scene = timo_sim.load_scene({}, {'model.modes': 8, 'initial.shaft': 0.0, **values})
     beam = LinearBeam(scene, held='carrier.held' in values, locked='motor.shaft' in values)
     of_free = np.ix_(beam.free, beam.free)
     squares, vectors = scipy.linalg.eigh(beam.stiffness[of_free], beam.mass[of_free])
@@ -107,9 +107,9 @@ def test_a_rigid_arm_swings_about_the_angle_at_which_it_hangs():
 
 def test_a_heavy_arm_vibrates_about_its_bend():
     """As the linear model about the same equilibrium, with a locked shaft or a speed of 0."""
-    scene = timo_sim.load_scene({'gravity': [0.0, -9.81], 'carrier.held': 'both',
-                                 'motor.shaft': 'locked', 'arm.section.height': 0.005,
-                                 'initial.shaft': 0.4, 'arm.damping_ratio': [0.01]})
+    scene = timo_sim.load_scene({}, {'gravity': [0.0, -9.81], 'carrier.held': 'both',
+                                     'motor.shaft': 'locked', 'arm.section.height': 0.005,
+                                     'initial.shaft': 0.4, 'arm.damping_ratio': [0.01]})
     found = timo_sim.modes(scene)
     poles = timo_sim.linearize(scene.vary({'initial.equilibrium': True})).poles()
     assert found.poles == pytest.approx(poles[poles.imag > 0.0], rel=1e-9)
@@ -119,7 +119,7 @@ def test_a_heavy_arm_vibrates_about_its_bend():
 
 
 def test_damping_of_the_system_is_not_that_of_the_clamped_arm():
-    scene = timo_sim.load_scene({'arm.damping_ratio': [0.01], 'arm.damping_of': 'system'})
+    scene = timo_sim.load_scene({}, {'arm.damping_ratio': [0.01], 'arm.damping_of': 'system'})
     assert timo_sim.modes(scene).damping == pytest.approx(0.01, rel=0.02)
     clamped = timo_sim.modes(scene, 0.0)
     assert clamped.damping == pytest.approx(scene.build().damping, rel=1e-6)
@@ -131,7 +131,7 @@ def test_damping_of_the_system_is_not_that_of_the_clamped_arm():
 
 
 def test_a_critically_damped_mode_is_no_vibration_until_it_is_stiffer():
-    scene = timo_sim.load_scene({'arm.damping_ratio': [0.01, 1.0, 0.01]})
+    scene = timo_sim.load_scene({}, {'arm.damping_ratio': [0.01, 1.0, 0.01]})
     assert timo_sim.modes(scene, 0.0).damping.max() < 0.02
     damping = timo_sim.modes(scene, 10.0).damping
     assert len(damping) == 3 and 0.9 < damping[1] < 1.0

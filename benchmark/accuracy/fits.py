@@ -388,7 +388,7 @@ def lacking(effect, seed, duration):
          for name, each in seen.items()})
     wrong = {name: value * 1.3**random.choice([-1.0, 1.0]) for name, value in truth.items()}
     wrong['arm.damping_ratio'] = [wrong['arm.damping_ratio']]
-    return measured, timo_sim.load_scene({**base, **wrong, **(
+    return measured, timo_sim.load_scene({}, {**base, **wrong, **(
         {'model.modes': 1} if effect == 'mode' else {})})
 
 

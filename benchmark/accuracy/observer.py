@@ -51,7 +51,7 @@ def made(quick):
     rows = []
     for arm, values in ARMS.items():
         for words, noise in SENSORS.items():
-            scene = timo_sim.load_scene({
+            scene = timo_sim.load_scene({}, {
                 **values, 'arm.damping_ratio': [0.01],
                 **{f'sensor.{name}': each for name, each in noise.items()}})
             runs = [errors(scene, seed) for seed in range(10 if quick else SEEDS)]

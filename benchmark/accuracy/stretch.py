@@ -36,7 +36,7 @@ SOFT = {'arm.length': 1.0, 'arm.section.height': 0.04, 'arm.section.width': 0.04
 def spun_up(speed, duration, **values):
     """Return a scene with held carrier that a torque spins up to a speed [rad/s] in a time [s]."""
     values = {**HELD, 'initial.shaft': 0.0, **values}
-    body = timo_sim.load_scene(values).manipulator
+    body = timo_sim.load_scene({}, values).manipulator
     section, length = body.arm.section, body.arm.length
     inertia = (body.shaft_inertia + section.mass_per_length * length**3 / 3.0
                + body.end_effector_mass * length**2 + body.end_effector_inertia)
@@ -79,7 +79,7 @@ def error(scene, tip, duration):
 
 def row(name, values, duration, modes, steps):
     """Return the cells of a scene, and how far two meshes of its reference are apart."""
-    scene = timo_sim.load_scene(values, {'integrator.step': PERIOD})
+    scene = timo_sim.load_scene({}, {**values, 'integrator.step': PERIOD})
     samples = round(duration / PERIOD)
     coarse = spectral_elements.simulate(scene, PERIOD, samples)[2]
     tip = spectral_elements.simulate(scene, PERIOD, samples, order=13, courant=0.25)[2]

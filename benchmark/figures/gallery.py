@@ -84,7 +84,7 @@ def spin_up():
 
 def resonance():
     """Draw the response to a torque at and below the first frequency; return the caption."""
-    rest = timo_sim.load_scene({**FINE, 'initial.shaft': 0.0})
+    rest = timo_sim.load_scene({}, {**FINE, 'initial.shaft': 0.0})
     first = timo_sim.modes(rest).frequency[0]
 
     def driven(ratio, damping):

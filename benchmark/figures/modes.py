@@ -26,7 +26,7 @@ SPEEDS = 1.0, 2.0, 4.0  # over the first frequency at rest
 
 def draw_spinning(path):
     """Draw the frequencies of a bare arm over the speed, with tables and finite elements."""
-    scene = timo_sim.load_scene({**BARE, 'model.modes': 12})
+    scene = timo_sim.load_scene({}, {**BARE, 'model.modes': 12})
     section = scene.manipulator.arm.section
     unit = np.sqrt(section.bending_stiffness / section.mass_per_length)
     speed = np.linspace(0.0, 12.0, 25)
@@ -50,7 +50,7 @@ def convergence():
     """Return the table of errors of the first two frequencies by the number of modes."""
     rows = []
     for name, values in ('bare, 1/1000 thin', BARE), ("the paper's", {'model.axial_modes': 1}):
-        scene = timo_sim.load_scene(values)
+        scene = timo_sim.load_scene({}, values)
         first = timo_sim.modes(scene, 0.0).omega[0]
         for share in SPEEDS:
             truth, cells = spinning(scene, share * first, 2), []

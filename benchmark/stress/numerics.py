@@ -137,7 +137,7 @@ def linear_errors(number, modes, seed=1):
     mass = values['arm.density'] * math.prod(values[f'arm.{side}'] for side in (
         'length', 'section.width', 'section.height'))
     held, locked = (bool(random.integers(2)) for _ in range(2))
-    free = timo_sim.load_scene({
+    free = timo_sim.load_scene({}, {
         **values, 'model.modes': modes, 'initial.shaft': 0.0,
         'model.formulation': ['exact', 'newton'][random.integers(2)],
         'arm.damping_ratio': [], 'carrier.held': 'both' if held else 'none',
@@ -165,7 +165,7 @@ def long_rows(quick=False):
     hour = 60.0 if quick else 3600.0
     for name, values in FREE.items():
         for formulation in 'exact', 'newton':
-            scene = timo_sim.load_scene({'model.formulation': formulation, **values})
+            scene = timo_sim.load_scene({}, {'model.formulation': formulation, **values})
             try:
                 run = run_scene(scene, round(hour / scene.step), 1000)
             except timo_sim.DivergenceError as error:

@@ -309,8 +309,8 @@ def laden_cell(number, seed=1):
     kind = random.choice(['gravity', 'payload', 'both'])
     if kind != 'payload':
         # By its weight the clamped arm sags by 1e-3 to 0.3 lengths.
-        first = timo_sim.load_scene({**values, 'model.modes': 3, 'model.axial_modes': 0,
-                                     'initial.modal_coordinates': []}).build().modes.omega[0]
+        first = timo_sim.load_scene({}, {**values, 'model.modes': 3, 'model.axial_modes': 0,
+                                         'initial.modal_coordinates': []}).build().modes.omega[0]
         angle, strength = random.uniform(-np.pi, np.pi), 0.7 * log(1e-3, 0.3) * length * first**2
         values['gravity'] = [strength * np.cos(angle), strength * np.sin(angle)]
     if kind != 'gravity' and values['model.formulation'] != 'newton_root_stress':

@@ -120,7 +120,7 @@ class _Finer:
                    'initial.modal_coordinates': rest.tolist(),
                    'integrator.step': values['integrator.step'] / parts}
         if push and modes:
-            reach = timo_sim.load_scene({**values, **changes}).build().tip_travel[3]
+            reach = timo_sim.load_scene({}, {**values, **changes}).build().tip_travel[3]
             rest[0] += push * values['arm.length'] / reach
             changes['initial.modal_coordinates'] = rest.tolist()
         return _run(self._cell, changes, parts)[0]
@@ -144,8 +144,8 @@ class _Elements:
 
 def _elements(cell, order):
     values = cell.values
-    scene = timo_sim.load_scene({**values, 'model.axial_modes': 0,
-                                 'initial.modal_coordinates': []})
+    scene = timo_sim.load_scene({}, {**values, 'model.axial_modes': 0,
+                                     'initial.modal_coordinates': []})
     return spectral_elements.simulate(
         scene, values['integrator.step'] * cell.every, cell.steps // cell.every, order=order,
         elements=_ELEMENTS)[2]
@@ -154,7 +154,7 @@ def _elements(cell, order):
 def _run(cell, changes, parts=1, looked_at=False):
     """Return the path of the tip, shape (n, 2) [m], statistics and warning; or None, None, why."""
     try:
-        scene = timo_sim.load_scene({**cell.values, **changes})
+        scene = timo_sim.load_scene({}, {**cell.values, **changes})
         run = run_scene(scene, parts * cell.steps, parts * cell.every)
         if looked_at:  # as `simulate` does
             run = measure_error(run)

@@ -106,10 +106,10 @@ def compare(modes, load, formulation='exact', step=0.005):
         **ARM, 'arm.damping_ratio': [1.0], 'motor.shaft': 'locked', 'carrier.held': 'y',
         'initial.shaft': np.pi / 2, 'model.modes': modes, 'model.formulation': formulation,
         'integrator.step': step}
-    scene = timo_sim.load_scene(values)
+    scene = timo_sim.load_scene({}, values)
     section, tip_mass = scene.manipulator.arm.section, scene.manipulator.end_effector_mass
     acceleration = load * section.bending_stiffness / LENGTH**2 / tip_mass
-    run = timo_sim.simulate(timo_sim.load_scene(values, {
+    run = timo_sim.simulate(scene.vary({
         'load.force_x.table.time': [0.0, RAMP],
         'load.force_x.table.value': [0.0, acceleration * scene.build().mass]}), DURATION)
     axial, across = run.deflection(LENGTH)[-1] / LENGTH

@@ -39,7 +39,7 @@ def test_a_start_is_a_constant_acceleration_then_an_exponential():
     """The first until the back-EMF leaves no more than the current's torque of the voltage's."""
     torque, errors = GAIN * 12.0, []
     for step in (0.004, 0.002, 0.001):
-        scene = timo_sim.load_scene({**RIGID, **MOTOR, 'integrator.step': step})
+        scene = timo_sim.load_scene({}, {**RIGID, **MOTOR, 'integrator.step': step})
         inertia, simulator, found = inertia_of(scene), timo_sim.Simulator(scene), []
         slow = (torque - LIMIT) / BACK_EMF
         bend, final = slow * inertia / LIMIT, torque / BACK_EMF
@@ -64,7 +64,7 @@ def test_a_start_is_a_constant_acceleration_then_an_exponential():
 def test_at_standstill_and_without_a_resistance_it_limits_the_torque_of_commands_and_loads():
     none = {'motor.dc.resistance': 0.0, 'load.torque.piecewise.time': [0.0],
             'load.torque.piecewise.value': [-20.0]}
-    scene = timo_sim.load_scene({**RIGID, **MOTOR, **none})
+    scene = timo_sim.load_scene({}, {**RIGID, **MOTOR, **none})
     simulator = timo_sim.Simulator(scene)
     for command, torque in ((40.0, 20.0), (60.0, 30.0), (-11.0, -30.0)):
         start = simulator.motion.shaft_velocity
@@ -79,7 +79,7 @@ def test_at_standstill_and_without_a_resistance_it_limits_the_torque_of_commands
 def test_second_order_over_its_bends(values):
     """Against SciPy with the equations of a scene without the limit, whose torque has the law."""
     swing = {'load.torque.harmonic.amplitude': [90.0], 'load.torque.harmonic.frequency': [1.1]}
-    scene = timo_sim.load_scene({**MOTOR, **values, 'model.modes': 2})
+    scene = timo_sim.load_scene({}, {**MOTOR, **values, 'model.modes': 2})
     model = scene.vary(UNLIMITED).build()
     half, load = model.size // 2, np.zeros(LOADS)
     other = timo_sim.Simulator(scene.vary(UNLIMITED)).integration
@@ -138,7 +138,7 @@ SATURATED = {
 @pytest.mark.parametrize('name', SATURATED)
 def test_beyond_the_limit_a_motor_is_a_constant_torque_without_back_emf(name):
     """Under a voltage out of reach of the back-EMF; dry friction is no part of the current."""
-    scene = timo_sim.load_scene({**MOTOR, **SATURATED[name]})
+    scene = timo_sim.load_scene({}, {**MOTOR, **SATURATED[name]})
     source = timo_sim.load_scene(SATURATED[name], {'motor.dc.gear_ratio': 50.0})
     motor, torque = timo_sim.Simulator(scene), timo_sim.Simulator(source)
     for sign in (1.0, 1.0, -1.0):
@@ -158,7 +158,7 @@ def test_beyond_the_limit_a_motor_is_a_constant_torque_without_back_emf(name):
 
 @pytest.mark.parametrize('name', SATURATED)
 def test_a_limit_that_is_not_reached_changes_nothing(name):
-    scene = timo_sim.load_scene({**MOTOR, **SATURATED[name], 'motor.dc.current_limit': 1e3})
+    scene = timo_sim.load_scene({}, {**MOTOR, **SATURATED[name], 'motor.dc.current_limit': 1e3})
     found, expected = timo_sim.Simulator(scene), timo_sim.Simulator(scene.vary(UNLIMITED))
     for voltage in (20.0, -30.0):
         found.step(duration=0.1, voltage=voltage)
@@ -168,7 +168,7 @@ def test_a_limit_that_is_not_reached_changes_nothing(name):
 
 
 def test_energy_is_the_work_of_efforts_less_that_of_friction_and_back_emf():
-    scene = timo_sim.load_scene({
+    scene = timo_sim.load_scene({}, {
         **MOTOR, **HELD, 'arm.damping_ratio': [0.02], 'load.torque.piecewise.time': [0.0],
         'load.torque.piecewise.value': [600.0]})
     run = timo_sim.simulate(scene, 1.0, estimate=False)
@@ -183,7 +183,7 @@ def test_energy_is_the_work_of_efforts_less_that_of_friction_and_back_emf():
 
 def test_acts_on_the_rotor_of_an_elastic_gear():
     """Against SciPy: two bodies, a spring, and the law at the speed of the rotor."""
-    scene = timo_sim.load_scene({**MOTOR, **GEAR, 'model.modes': 0, 'integrator.step': 0.0005})
+    scene = timo_sim.load_scene({}, {**MOTOR, **GEAR, 'model.modes': 0, 'integrator.step': 0.0005})
     arm, rotor = inertia_of(scene) - 0.5, 0.5
 
     def rate(t, y):
@@ -212,14 +212,14 @@ def test_a_joint_sticks_while_the_current_cannot_move_it():
     stuck = {**RIGID, **MOTOR, 'motor.coulomb_friction': 30.1}
     simulator = timo_sim.Simulator(timo_sim.load_scene(stuck))
     assert simulator.step(duration=0.2, voltage=500.0).shaft_velocity == 0.0
-    loose = timo_sim.load_scene({**stuck, 'motor.coulomb_friction': 29.9})
+    loose = timo_sim.load_scene({}, {**stuck, 'motor.coulomb_friction': 29.9})
     speed = timo_sim.Simulator(loose).step(duration=0.2, voltage=500.0).shaft_velocity
     assert speed == pytest.approx(0.2 * 0.1 / inertia_of(loose), rel=1e-9)
 
 
 def test_linear_models_and_equilibria():
     """About states below the limit they are those without it; others are no equilibria."""
-    scene = timo_sim.load_scene({
+    scene = timo_sim.load_scene({}, {
         **MOTOR, **HELD, 'motor.dc.current_limit': 0.1, 'gravity': [9.81, 0.0],
         'load.torque.piecewise.time': [0.0], 'load.torque.piecewise.value': [0.2],
         'initial.equilibrium': True})
@@ -235,7 +235,7 @@ def test_linear_models_and_equilibria():
 
 def test_derivatives_of_steps_are_differences_on_either_side():
     """By motion and torque; at the limit a torque does nothing, and the back-EMF either."""
-    scene = timo_sim.load_scene({**MOTOR, **HELD, **BUILDS_UP, 'initial.shaft_velocity': 0.5})
+    scene = timo_sim.load_scene({}, {**MOTOR, **HELD, **BUILDS_UP, 'initial.shaft_velocity': 0.5})
     for torque, moves in ((80.0, False), (25.0, True)):
         def end(start, torque=torque):
             simulator = timo_sim.Simulator(scene)
@@ -272,7 +272,7 @@ def test_a_fit_finds_the_limit():
 
 
 def test_a_shaft_that_is_not_free_has_no_limit_and_a_limit_needs_the_torque_constant():
-    scene = timo_sim.load_scene({**MOTOR, **HELD, 'motor.shaft': 'locked'})
+    scene = timo_sim.load_scene({}, {**MOTOR, **HELD, 'motor.shaft': 'locked'})
     simulator = timo_sim.Simulator(scene)
     simulator.step(torque=100.0)
     assert simulator.snapshot().effort[2] == pytest.approx(-100.0, rel=1e-12)

@@ -68,7 +68,7 @@ def vibrating(formulation, **overrides):
     {'model.formulation': 'newton_rigid_axial'}])
 def test_energy_is_that_of_masses_and_strain(values, picked_up):
     """Kinetic energy by the mass matrix, gravity's by the places of the masses, both in NumPy."""
-    scene = timo_sim.load_scene({'model.modes': 3, 'gravity': [1.5, -9.81], **values})
+    scene = timo_sim.load_scene({}, {'model.modes': 3, 'gravity': [1.5, -9.81], **values})
     model = scene.build(scene.manipulator, (3.0, 0.15)) if picked_up else scene.build()
     motions = np.random.default_rng(7).normal(scale=0.3, size=(20, model.size))
     half, body, found = model.size // 2, model.manipulator, []
@@ -164,7 +164,7 @@ def test_constant_force_gives_momentum_force_times_time(formulation):
 
 def test_damping_takes_energy_at_the_modal_rate():
     """A heavy base leaves the arm clamped: its first mode decays with exp(-2 zeta omega t)."""
-    scene = timo_sim.load_scene({
+    scene = timo_sim.load_scene({}, {
         'arm.damping_ratio': [0.02], 'carrier.mass': 1e9, 'motor.shaft_inertia': 1e9,
         'initial.modal_rates': [1e-3, 0.0, 0.0]})
     run = timo_sim.simulate(scene, 4.0, estimate=False)
@@ -178,7 +178,7 @@ def test_damping_takes_energy_at_the_modal_rate():
 def test_a_rotating_arm_stiffens_under_its_centrifugal_force():
     """Against the closed form of a tip mass on a massless arm under the tension m l Omega^2."""
     length, tip, speed = 2.0, 2.0, 5.0
-    scene = timo_sim.load_scene({
+    scene = timo_sim.load_scene({}, {
         'arm.density': 1.0, 'arm.section.height': 0.005, 'carrier.mass': 1e8,
         'motor.shaft_inertia': 1e8,
         'end_effector.mass': tip, 'end_effector.inertia': 0.0, 'model.modes': 5,
@@ -231,7 +231,7 @@ def test_newton_warns_where_axial_force_and_deflection_matter(name, axial, acros
               for axis, force in (('x', axial * euler), ('y', across))}
     runs = []
     for formulation in (name, 'exact'):
-        scene = timo_sim.load_scene({**base, 'model.formulation': formulation, **forces})
+        scene = timo_sim.load_scene({}, {**base, 'model.formulation': formulation, **forces})
         with warnings.catch_warnings(record=True) as told:
             warnings.simplefilter('always')
             runs.append(timo_sim.simulate(scene, 4.0, estimate=False))
@@ -258,7 +258,7 @@ def test_tip_is_the_end_of_the_centre_line(name, modes):
 def test_a_load_on_the_tip_does_its_work_and_gives_its_momentum():
     """Constant force and torque on the end effector of an arm that turns and bends far."""
     force, torque = np.array([6.0, -4.0]), 3.0
-    scene = timo_sim.load_scene({
+    scene = timo_sim.load_scene({}, {
         'initial.shaft_velocity': 1.0, 'initial.modal_rates': [4.0, 1.0, 0.0],
         **{f'load.tip_{name}.piecewise.{key}': [value] for name, size in (
             ('force_x', force[0]), ('force_y', force[1]), ('torque', torque))
@@ -288,7 +288,7 @@ BENT = 3.2  # P l^2 / (E I)
 
 
 def test_the_boundary_value_solver_gives_the_closed_form():
-    section = timo_sim.load_scene(elastica.ARM).manipulator.arm.section
+    section = timo_sim.load_scene({}, elastica.ARM).manipulator.arm.section
     load = BENT * section.bending_stiffness / elastica.LENGTH**2
     found, closed = elastica.boundary_value(section, load, 0.0), elastica.elastica(BENT)
     # Shear adds EI / (kappa G A l^2) = 1.6e-6 of the deflection.

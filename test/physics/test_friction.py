@@ -47,7 +47,7 @@ def order(steps, errors):
 @pytest.mark.parametrize('formulation', ['exact', 'newton', 'newton_root_stress'])
 def test_a_rigid_arm_speeds_up_coasts_to_rest_and_stays(formulation):
     step, torque, limit, jump = 0.001, 3.0, 1.9, 1.2
-    run = timo_sim.simulate(timo_sim.load_scene({
+    run = timo_sim.simulate(timo_sim.load_scene({}, {
         **STUCK, 'model.formulation': formulation, 'motor.coulomb_friction': limit,
         'integrator.step': step, 'initial.shaft': 0.0, 'load.torque.piecewise.time': [0.0, jump],
         'load.torque.piecewise.value': [torque, 0.0]}), 4.0, estimate=False)
@@ -68,10 +68,10 @@ def test_a_rigid_arm_speeds_up_coasts_to_rest_and_stays(formulation):
 def test_a_sudden_stop_leaves_the_arm_the_right_vibration():
     """The shaft stops within 3 ms; the reference has short steps, then a locked shaft."""
     values = {'motor.coulomb_friction': 3e3, 'initial.shaft_velocity': 1.0}
-    stopped = timo_sim.simulate(timo_sim.load_scene({**values, 'integrator.step': 1e-4}), 0.1,
+    stopped = timo_sim.simulate(timo_sim.load_scene({}, {**values, 'integrator.step': 1e-4}), 0.1,
                                 estimate=False)
     last, half = stopped.values[-1], stopped.values.shape[1] // 2
-    locked = timo_sim.simulate(timo_sim.load_scene({
+    locked = timo_sim.simulate(timo_sim.load_scene({}, {
         'motor.shaft': 'locked', **dict(zip(
             ('initial.carrier_x', 'initial.carrier_y', 'initial.shaft'), last)), **dict(zip(
                 ('initial.carrier_x_velocity', 'initial.carrier_y_velocity'), last[half:])),
@@ -79,7 +79,7 @@ def test_a_sudden_stop_leaves_the_arm_the_right_vibration():
         sample_every=10, estimate=False)
     steps, errors, angles = np.array([0.01, 0.005, 0.0025]), [], []
     for step in steps:
-        run = timo_sim.simulate(timo_sim.load_scene({**values, 'integrator.step': step}), 1.0,
+        run = timo_sim.simulate(timo_sim.load_scene({}, {**values, 'integrator.step': step}), 1.0,
                                 sample_every=round(0.01 / step), estimate=False)
         errors.append(np.abs(run.q[10:] - locked.q).max())
         angles.append(np.abs(run.shaft[10:] - last[2]).max())
@@ -90,7 +90,7 @@ def test_a_sudden_stop_leaves_the_arm_the_right_vibration():
 
 @pytest.mark.parametrize('formulation, modes', [('exact', 0), ('exact', 3), ('newton', 3)])
 def test_loads_below_the_limits_of_friction_move_no_joint(formulation, modes):
-    simulator = Simulator(timo_sim.load_scene({
+    simulator = Simulator(timo_sim.load_scene({}, {
         **ALL, 'model.modes': modes, 'model.formulation': formulation,
         'initial.carrier_x': 0.3}))
     start, pushes = simulator.motion.values, np.array([1.99, -1.5, 0.99])
@@ -141,7 +141,7 @@ def test_turning_round_and_stick_slip_are_of_second_order(limit):
     times, steps, errors = np.arange(0.0, 3.001, 0.02), 0.02 * 0.5**np.arange(8), []
     truth = stick_slip(3.0, 1.1, limit, times)
     for step in steps:
-        run = timo_sim.simulate(timo_sim.load_scene({
+        run = timo_sim.simulate(timo_sim.load_scene({}, {
             **STUCK, 'motor.coulomb_friction': limit, 'integrator.step': step,
             'load.torque.harmonic.amplitude': [3.0], 'load.torque.harmonic.frequency': [1.1]}),
             3.0, sample_every=round(0.02 / step), estimate=False)
@@ -188,7 +188,7 @@ def test_a_shaft_held_by_friction_is_like_a_locked_one(formulation):
              'initial.modal_coordinates': last[3:half], 'initial.carrier_x_velocity': last[half],
              'initial.carrier_y_velocity': last[half + 1], 'initial.shaft_velocity': 0.0,
              'initial.modal_rates': last[half + 3:]}
-    locked = timo_sim.simulate(timo_sim.load_scene({
+    locked = timo_sim.simulate(timo_sim.load_scene({}, {
         'model.formulation': formulation, **begin, 'motor.shaft': 'locked'}), 2.0,
         sample_every=4, estimate=False)
     steps, errors = [0.004, 0.002, 0.001], []
@@ -207,7 +207,7 @@ def test_a_shaft_held_by_friction_is_like_a_locked_one(formulation):
 def test_energy_and_heat_are_the_work_of_the_loads():
     steps, errors = [0.01, 0.005, 0.0025], []
     for step in steps:
-        simulator = Simulator(timo_sim.load_scene({**LIVELY, 'integrator.step': step}))
+        simulator = Simulator(timo_sim.load_scene({}, {**LIVELY, 'integrator.step': step}))
         motions, heat = simulator.advance(round(2.0 / step), loaded(PUSHES), sample_every=1)
         energy = simulator.model.energy(motions)
         work = (motions[:, :3] - motions[0, :3]) @ PUSHES
@@ -218,7 +218,7 @@ def test_energy_and_heat_are_the_work_of_the_loads():
 
 
 def test_each_step_obeys_the_law():
-    simulator = Simulator(timo_sim.load_scene({**LIVELY, 'integrator.step': 0.005}))
+    simulator = Simulator(timo_sim.load_scene({}, {**LIVELY, 'integrator.step': 0.005}))
     limits, seen = simulator.scene.friction, np.zeros((3, 3), dtype=int)
     after = simulator.motion.values[6:9]
     for _ in range(800):
@@ -237,7 +237,7 @@ def test_each_step_obeys_the_law():
 
 
 def test_a_run_has_the_heat_of_its_samples():
-    scene = timo_sim.load_scene({**LIVELY, 'integrator.step': 0.005})
+    scene = timo_sim.load_scene({}, {**LIVELY, 'integrator.step': 0.005})
     fine, coarse = (timo_sim.simulate(scene, 6.0, every, estimate=False) for every in (1, 8))
     assert np.array_equal(coarse.friction_heat, fine.friction_heat[::8])
     assert fine.friction_heat[0] == 0.0 and fine.friction_heat[-1] > 0.1
@@ -273,6 +273,6 @@ def test_steps_that_cannot_hold_a_joint_give_a_warning(scene, step, warned):
     """A light shaft vibrates at 70 Hz, a thick arm faster: 10 ms are more than half a period."""
     with warnings.catch_warnings():
         warnings.simplefilter('ignore', timo_sim.ModelWarning)
-        run = timo_sim.simulate(timo_sim.load_scene({**scene, 'integrator.step': step}), 1.0,
+        run = timo_sim.simulate(timo_sim.load_scene({}, {**scene, 'integrator.step': step}), 1.0,
                                 round(0.05 / step))
     assert ('take a smaller integrator.step' in (run.warning or '')) == warned

@@ -88,7 +88,7 @@ class TwoBodies:
 
 
 def test_two_bodies_vibrate_as_the_closed_form():
-    scene = timo_sim.load_scene({**RIGID, **GEAR, 'motor.gear.damping': 0.05})
+    scene = timo_sim.load_scene({}, {**RIGID, **GEAR, 'motor.gear.damping': 0.05})
     reduced = 1.0 / (1.0 / ROTOR + 1.0 / inertia_of(scene))
     found = timo_sim.modes(scene)
     assert found.omega == pytest.approx([np.sqrt(STIFFNESS / reduced)], rel=1e-7)
@@ -103,7 +103,7 @@ def test_frequencies_of_a_bending_arm_satisfy_those_of_its_root(held):
     A is that of the same manipulator without rotor, by its linear model.
     """
     free = {'carrier.held': held, 'motor.shaft_inertia': 1.0}
-    poles = timo_sim.modes(timo_sim.load_scene({
+    poles = timo_sim.modes(timo_sim.load_scene({}, {
         **free, **BENDS, 'motor.gear.stiffness': 4000.0})).omega
     without = timo_sim.linearize(timo_sim.load_scene(free)).select(['torque_N_m'], ['shaft_rad'])
     compliance = without.frequency_response(poles / (2.0 * np.pi))[:, 0, 0].real
@@ -113,7 +113,7 @@ def test_frequencies_of_a_bending_arm_satisfy_those_of_its_root(held):
 
 def test_is_of_fourth_order_with_friction_on_either_side():
     """Against SciPy; friction of the shaft builds up over a speed, that of the rotor is uneven."""
-    scene = timo_sim.load_scene({
+    scene = timo_sim.load_scene({}, {
         **RIGID, **GEAR, **SWING, 'motor.gear.damping': 0.05,
         'motor.coulomb_friction': 0.2, 'motor.coulomb_speed': 0.3,
         'motor.rotor.coulomb_friction': 0.3 / TURNS, 'motor.rotor.coulomb_speed': 0.5 * TURNS,
@@ -137,8 +137,8 @@ def test_is_of_fourth_order_with_friction_on_either_side():
 @pytest.mark.parametrize('damping, order', [(0.0, 2.0), (0.05, 1.0)])
 def test_backlash_against_an_integrator_that_stops_at_contacts(damping, order):
     """Without damping the torque has no jump at a contact. The estimated error is the true one."""
-    scene = timo_sim.load_scene({**RIGID, **GEAR, **SWING, **RUBS, 'motor.gear.backlash': 0.02,
-                                 'motor.gear.damping': damping})
+    scene = timo_sim.load_scene({}, {**RIGID, **GEAR, **SWING, **RUBS, 'motor.gear.backlash': 0.02,
+                                     'motor.gear.damping': damping})
     times = np.linspace(0.0, 1.0, 51)
     wanted, contacts = TwoBodies(inertia_of(scene), damping, 0.02).run(times)
     assert contacts >= 3
@@ -177,7 +177,7 @@ def test_a_stiff_gear_is_a_rigid_one_whatever_the_step(more):
 def test_energy_is_what_friction_takes(more):
     """Contacts and breakaways lie within steps, whose errors are of lower order."""
     axial = more.get('model.axial_modes', 0)
-    scene = timo_sim.load_scene({
+    scene = timo_sim.load_scene({}, {
         **BENDS, 'motor.gear.stiffness': 2000.0, 'motor.gear.damping': 5.0, 'initial.shaft': 0.5,
         'motor.rotor.viscous_friction': 0.002, 'motor.viscous_friction': 0.1,
         'initial.shaft_velocity': 1.0, 'gravity': [0.0, -9.81],
@@ -192,7 +192,7 @@ def test_energy_is_what_friction_takes(more):
 
 def test_a_free_manipulator_keeps_its_momenta():
     """Those of the carrier and, about the mass centre, of arm, shaft and rotor together."""
-    run = timo_sim.simulate(timo_sim.load_scene({
+    run = timo_sim.simulate(timo_sim.load_scene({}, {
         **BENDS, 'motor.gear.stiffness': 2000.0, 'motor.gear.damping': 5.0,
         'motor.gear.backlash': 0.02, 'initial.shaft_velocity': 1.0,
         'initial.modal_coordinates': [0.1, 0.0, 0.0, 0.02]}), 1.0, estimate=False)
@@ -203,7 +203,7 @@ def test_a_free_manipulator_keeps_its_momenta():
 
 def test_friction_at_rest_holds_the_rotor_and_the_arm_swings_on_the_gear():
     """The shaft vibrates against the rotor, which stands still to the last bit."""
-    scene = timo_sim.load_scene({
+    scene = timo_sim.load_scene({}, {
         **RIGID, **GEAR, 'motor.rotor.coulomb_friction': 1.0 / TURNS,
         'initial.modal_coordinates': [-0.01 * np.sqrt(ROTOR)], 'initial.shaft': 0.01})
     run = timo_sim.simulate(scene, 0.5, estimate=False)
@@ -220,7 +220,7 @@ def test_friction_at_rest_holds_the_rotor_and_the_arm_swings_on_the_gear():
 @pytest.mark.parametrize('formulation', ['exact', 'newton'])
 def test_friction_that_depends_on_direction(formulation):
     """Far above its speed it brakes by 1 + a times its limit forwards, 1 - a times backwards."""
-    scene = timo_sim.load_scene({
+    scene = timo_sim.load_scene({}, {
         **RIGID, 'model.formulation': formulation, 'motor.coulomb_friction': 0.2,
         'motor.coulomb_speed': 0.01, 'motor.coulomb_asymmetry': 0.3})
     inertia = inertia_of(scene) + ROTOR
@@ -234,7 +234,7 @@ def test_friction_that_depends_on_direction(formulation):
 
 def test_rest_under_a_load_twists_the_gear():
     """Gravity at a horizontal arm, held by the torque on the rotor, through half of the play."""
-    scene = timo_sim.load_scene({
+    scene = timo_sim.load_scene({}, {
         **RIGID, **GEAR, 'gravity': [0.0, -9.81], 'motor.gear.backlash': 0.02})
     model, weight = scene.build(), 9.81 * scene.build().points.lever @ scene.build().point_mass
     held = scene.vary({'load.torque.piecewise.time': [0.0], 'initial.shaft': 0.3,

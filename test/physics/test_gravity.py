@@ -24,7 +24,7 @@ HANGING = {**DOWN, 'carrier.held': 'both', 'initial.shaft': -np.pi / 2}
     (0.0022, 0.0, -0.5, 'weight', 35.0), (0.004, 0.3, 0.0, 'none', 45.0),
     (0.005, 0.3, -2.9, 'none', 25.0)])
 def test_cantilever_under_its_own_weight_is_the_elastica(height, tip, angle, static, least):
-    scene = timo_sim.load_scene({
+    scene = timo_sim.load_scene({}, {
         **CLAMPED, 'arm.section.height': height, 'end_effector.mass': tip,
         'end_effector.inertia': 0.0,
         'initial.shaft': angle, 'model.modes': 8, 'model.static_modes': static})
@@ -52,8 +52,9 @@ def test_who_falls_does_not_see_gravity(formulation):
     values = {'model.formulation': formulation, 'initial.shaft_velocity': 2.0,
               'initial.modal_rates': [0.5, 0.1, 0.0], 'load.torque.harmonic.amplitude': [5.0],
               'load.torque.harmonic.frequency': [1.0]}
-    falling, still = (timo_sim.simulate(timo_sim.load_scene({**values, 'gravity': gravity}), 1.0,
-                                        estimate=False) for gravity in ([3.0, -G], [0.0, 0.0]))
+    falling, still = (timo_sim.simulate(
+        timo_sim.load_scene({}, {**values, 'gravity': gravity}), 1.0, estimate=False)
+        for gravity in ([3.0, -G], [0.0, 0.0]))
     fallen = 0.5 * still.t[:, np.newaxis]**2 * [3.0, -G]
     assert np.abs(falling.carrier - still.carrier - fallen).max() < 1e-12
     assert np.abs(falling.q - still.q).max() < 1e-12
@@ -61,8 +62,8 @@ def test_who_falls_does_not_see_gravity(formulation):
 
 @pytest.mark.parametrize('formulation', ['exact', 'newton'])
 def test_energy_of_a_pendulum(formulation):
-    scene = timo_sim.load_scene({**DOWN, 'carrier.held': 'both', 'initial.shaft': -0.8,
-                                 'model.formulation': formulation})
+    scene = timo_sim.load_scene({}, {**DOWN, 'carrier.held': 'both', 'initial.shaft': -0.8,
+                                     'model.formulation': formulation})
     run = timo_sim.simulate(scene, 2.0, estimate=False)
     energy = run.energy()
     # `newton` leaves out what is of third order in the bend, here 1 J in 60 turns of the sign.
@@ -76,7 +77,7 @@ def test_energy_of_a_pendulum(formulation):
 
 def test_a_clamped_arm_let_go_under_its_weight_against_finite_elements():
     """The tip sinks by a fifth of the arm; the stored reference is right to 1e-5 m."""
-    run = timo_sim.simulate(timo_sim.load_scene({
+    run = timo_sim.simulate(timo_sim.load_scene({}, {
         **references.CANTILEVER, 'model.modes': 5, 'integrator.step': 0.001}), 3.0, 20,
         estimate=False)
     truth = references.read('cantilever')[1]['w_l_m']
@@ -110,7 +111,7 @@ def test_a_swinging_arm_against_spectral_elements(held, gravity, angle):
     {**CLAMPED, 'arm.section.height': 0.008, 'end_effector.mass': 0.3, 'initial.shaft': 0.4}],
     ids=['hanging', 'hanging, x free', 'clamped', 'far bent'])
 def test_vibrations_about_an_equilibrium(values):
-    scene = timo_sim.load_scene({**values, 'model.modes': 8, 'initial.equilibrium': True})
+    scene = timo_sim.load_scene({}, {**values, 'model.modes': 8, 'initial.equilibrium': True})
     tip, truth = spectral_elements.equilibrium(scene)
     motion = scene.initial_motion()
     found = scene.build().world(motion[np.newaxis], scene.build().tip_point)[0, 0]
@@ -129,12 +130,12 @@ def test_equilibria_are_stable_ones():
     # Greenhill's column under its own weight, 7.837 E I / (rho A g l^3); shear makes it 1e-4 less.
     critical = 7.8373 * section.bending_stiffness / section.mass_per_length / 2.0**3
     for share, bends in ((0.999, False), (1.001, True)):
-        scene = timo_sim.load_scene({**locked, 'gravity': [0.0, -share * critical]})
+        scene = timo_sim.load_scene({}, {**locked, 'gravity': [0.0, -share * critical]})
         assert (np.abs(scene.initial_motion()[3]) > 1e-3) == bends
 
 
 def test_forces_that_hold_an_arm_at_rest():
-    scene = timo_sim.load_scene({**CLAMPED, 'initial.shaft': 0.3})
+    scene = timo_sim.load_scene({}, {**CLAMPED, 'initial.shaft': 0.3})
     simulator = timo_sim.Simulator(scene)
     body = scene.manipulator
     arm, tip = body.arm.section.mass_per_length * 2.0, body.end_effector_mass
@@ -158,7 +159,7 @@ def test_forces_that_hold_an_arm_at_rest():
 
 
 def test_the_sag_that_modes_leave_out_is_estimated():
-    scene = timo_sim.load_scene({**CLAMPED, 'initial.shaft': 0.0})
+    scene = timo_sim.load_scene({}, {**CLAMPED, 'initial.shaft': 0.0})
     run = timo_sim.simulate(scene, 0.1)
     section, body = scene.manipulator.arm.section, scene.manipulator
     truth = elastica.boundary_value(section, -G * body.end_effector_mass,
@@ -168,7 +169,7 @@ def test_the_sag_that_modes_leave_out_is_estimated():
 
 
 def test_the_axial_force_that_newton_leaves_out_is_that_of_an_accelerated_carrier():
-    held = timo_sim.load_scene({**HANGING, 'model.formulation': 'newton'}).build()
+    held = timo_sim.load_scene({}, {**HANGING, 'model.formulation': 'newton'}).build()
     pushed = timo_sim.load_scene({'model.formulation': 'newton', 'initial.shaft': -np.pi / 2})
     pushed, load = pushed.build(), np.zeros(LOADS)
     load[1] = pushed.mass * G
@@ -181,9 +182,9 @@ def test_the_axial_force_that_newton_leaves_out_is_that_of_an_accelerated_carrie
 
 @pytest.mark.parametrize('share, holds', [(1.01, True), (0.99, False)])
 def test_dry_friction_holds_an_arm_up_to_its_weight(share, holds):
-    locked = timo_sim.load_scene({**CLAMPED, 'initial.shaft': 0.3})
+    locked = timo_sim.load_scene({}, {**CLAMPED, 'initial.shaft': 0.3})
     torque, start = Simulator(locked).effort[2], locked.initial_motion()
-    scene = timo_sim.load_scene({
+    scene = timo_sim.load_scene({}, {
         **DOWN, 'carrier.held': 'both', 'motor.coulomb_friction': share * torque,
         'initial.shaft': 0.3, 'initial.modal_coordinates': start[3:6]})
     run = timo_sim.simulate(scene, 1.0, estimate=False)

@@ -148,7 +148,7 @@ def test_a_spike_inside_a_step_gives_its_impulse(time, value):
 def test_an_arm_moves_as_its_load_inside_a_step_demands(values):
     tips = []
     for step in (1e-4, 0.01):
-        scene = timo_sim.load_scene({**values, 'integrator.step': step})
+        scene = timo_sim.load_scene({}, {**values, 'integrator.step': step})
         tips.append(timo_sim.simulate(scene, 1.0, round(0.5 / step),
                                       estimate=False).position(2.0)[-1])
     truth, found = tips

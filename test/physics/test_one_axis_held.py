@@ -16,7 +16,7 @@ SPINNING = {'initial.shaft_velocity': 10.0, 'initial.modal_rates': [0.5, 0.0, 0.
 
 
 def scene_of(held, step, values):
-    return timo_sim.load_scene({'carrier.held': held, 'integrator.step': step, **values})
+    return timo_sim.load_scene({}, {'carrier.held': held, 'integrator.step': step, **values})
 
 
 def straight(model, angle, speed):

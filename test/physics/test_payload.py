@@ -28,7 +28,7 @@ BOTH = {'payload.time': [0.2, 0.5], 'payload.mass': [5.0, 1.0], 'payload.inertia
 @pytest.mark.parametrize('values', [{**HELD, **PICKED}, {**FREE, **DROPPED}],
                          ids=['held', 'free, dropped'])
 def test_a_load_that_changes_in_flight_against_spectral_elements(values):
-    scene = timo_sim.load_scene({**values, 'model.modes': 5, 'model.axial_modes': 1})
+    scene = timo_sim.load_scene({}, {**values, 'model.modes': 5, 'model.axial_modes': 1})
     run = timo_sim.simulate(scene, 1.0, sample_every=100, estimate=False)
     carrier, shaft, tip, _ = spectral_elements.simulate(scene, 0.1, 10, order=8, courant=0.9)
     assert np.abs(run.carrier - carrier).max() < 1e-6
@@ -41,8 +41,8 @@ def test_a_load_that_changes_in_flight_against_spectral_elements(values):
 
 def test_the_estimate_knows_of_vibrations_that_the_modes_leave_out():
     """Let go in gravity all modes vibrate; a load takes the momentum of all at the tip."""
-    scene = timo_sim.load_scene({**HELD, **PICKED, 'gravity': [0.0, -9.81], 'model.modes': 5,
-                                 'model.axial_modes': 1})
+    scene = timo_sim.load_scene({}, {**HELD, **PICKED, 'gravity': [0.0, -9.81], 'model.modes': 5,
+                                     'model.axial_modes': 1})
     run = timo_sim.simulate(scene, 1.0, sample_every=100)
     tip = spectral_elements.simulate(scene, 0.1, 10, courant=0.9)[2]
     error = np.abs(run.position(2.0) - tip).max()
@@ -52,7 +52,7 @@ def test_the_estimate_knows_of_vibrations_that_the_modes_leave_out():
 
 def test_a_load_picked_up_from_rest_against_spectral_elements():
     """The impact makes all modes vibrate, of which the model has five."""
-    scene = timo_sim.load_scene({
+    scene = timo_sim.load_scene({}, {
         'initial.shaft_velocity': 0.5, **PICKED, 'end_effector.pick_up': 'at_rest',
         'model.modes': 5, 'model.axial_modes': 1})
     run = timo_sim.simulate(scene, 0.6, sample_every=100, estimate=False)
@@ -63,7 +63,7 @@ def test_a_load_picked_up_from_rest_against_spectral_elements():
 
 def test_a_rigid_arm_picks_up_a_load_at_rest():
     """J+ omega+ = J- omega-, and the energy lost is that of two bodies that stick together."""
-    scene = timo_sim.load_scene({
+    scene = timo_sim.load_scene({}, {
         'carrier.held': 'both', 'model.modes': 0, 'initial.shaft_velocity': 2.0, **PICKED,
         'end_effector.pick_up': 'at_rest'})
     body, section = scene.manipulator, scene.manipulator.arm.section
@@ -92,7 +92,7 @@ def test_the_energy_lost_in_an_impact_is_that_of_two_bodies():
     """What the momenta of N modes lose tends to the loss of the two bodies at the tip as 1/N."""
     excess = []
     for modes in (5, 10, 20):
-        scene = timo_sim.load_scene({**PLASTIC, 'gravity': [0.0, 0.0], 'model.modes': modes})
+        scene = timo_sim.load_scene({}, {**PLASTIC, 'gravity': [0.0, 0.0], 'model.modes': modes})
         run = timo_sim.simulate(scene, 0.25, estimate=False)
         velocity, spin = (part[0, 0] for part in run.model.velocities(
             run.values[400:401], run.model.tip_point))
@@ -107,8 +107,8 @@ def test_the_energy_lost_in_an_impact_is_that_of_two_bodies():
 
 def test_the_estimate_of_a_plastic_impact():
     """Errors fall as 1/N: four times the modes see three quarters of the error."""
-    scene = timo_sim.load_scene({**PLASTIC, 'model.modes': 5, 'integrator.step': 0.001})
-    fine = timo_sim.load_scene({**PLASTIC, 'model.modes': 40, 'integrator.step': 0.00025})
+    scene = timo_sim.load_scene({}, {**PLASTIC, 'model.modes': 5, 'integrator.step': 0.001})
+    fine = timo_sim.load_scene({}, {**PLASTIC, 'model.modes': 40, 'integrator.step': 0.00025})
     run = timo_sim.simulate(scene, 0.8, 10)
     true = run_scene(fine, 3200, 40)
     error = np.linalg.norm(run.position(2.0) - true.position(2.0), axis=1).max()
@@ -118,7 +118,7 @@ def test_the_estimate_of_a_plastic_impact():
 @pytest.mark.parametrize('values', [{}, {'carrier.held': 'x'}, {'motor.shaft': 'locked'}],
                          ids=['free', 'x held', 'locked'])
 def test_momentum_is_kept_by_an_impact(values):
-    scene = timo_sim.load_scene({
+    scene = timo_sim.load_scene({}, {
         'initial.carrier_y_velocity': 0.4, 'initial.modal_rates': [0.5, 0.1, 0.0], **PICKED,
         'end_effector.pick_up': 'at_rest', **values})
     run = timo_sim.simulate(scene, 0.4, estimate=False)
@@ -133,7 +133,7 @@ def test_momentum_is_kept_by_an_impact(values):
 
 def test_nothing_is_lost_by_loads_that_move_with_the_tip():
     """Sections keep place and velocity to the last bit but round-off of momenta."""
-    scene = timo_sim.load_scene({**FREE, **PICKED, 'initial.modal_rates': [0.5, 0.1, 0.0]})
+    scene = timo_sim.load_scene({}, {**FREE, **PICKED, 'initial.modal_rates': [0.5, 0.1, 0.0]})
     simulator = Simulator(scene)
     simulator.advance(300)
     before = simulator.motion.values
@@ -143,7 +143,7 @@ def test_nothing_is_lost_by_loads_that_move_with_the_tip():
 
 
 def test_a_change_by_hand_is_that_of_the_scene():
-    scene = timo_sim.load_scene({**FREE, **PICKED})
+    scene = timo_sim.load_scene({}, {**FREE, **PICKED})
     by_hand = Simulator(scene.vary({'payload.time': [], 'payload.mass': [],
                                     'payload.inertia': []}))
     by_hand.advance(300)
@@ -156,7 +156,7 @@ def test_a_change_by_hand_is_that_of_the_scene():
 
 def test_a_log_tells_the_loads_of_a_simulator():
     """The scene's and those that are set; what is set to the same value again changes nothing."""
-    scene = timo_sim.load_scene({**FREE, **BOTH})
+    scene = timo_sim.load_scene({}, {**FREE, **BOTH})
     simulator, loads, changes = Simulator(scene), [], []
     for step, mass in ((100, 3.0), (300, 3.0), (400, 4.0), (600, None), (650, 4.0)):
         while simulator.steps < step:
@@ -196,7 +196,7 @@ def test_a_state_after_a_change_is_not_taken_for_one_before():
     {'carrier.held': 'x', 'model.formulation': 'newton'}], ids=str)
 def test_energy_is_balanced_between_impacts(values):
     """All that a scene may have: what is lost at impacts and to friction is counted."""
-    scene = timo_sim.load_scene({**FREE, **BOTH, 'gravity': [0.5, -1.0], **values, **{
+    scene = timo_sim.load_scene({}, {**FREE, **BOTH, 'gravity': [0.5, -1.0], **values, **{
         'initial.shaft_velocity': 0.0 if 'motor.shaft' in values else 1.0,
         'load.torque.harmonic.amplitude': [0.0 if 'motor.shaft' in values else 5.0]}})
     run = timo_sim.simulate(scene, 0.7, estimate=False)

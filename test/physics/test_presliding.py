@@ -114,8 +114,8 @@ def order(steps, errors):
 
 @pytest.mark.parametrize('formulation', ['exact', 'newton'])
 def test_small_motions_are_those_of_a_spring(formulation):
-    scene = timo_sim.load_scene({**RIGID, 'model.formulation': formulation,
-                                 'integrator.step': 0.005, 'initial.shaft_velocity': 0.03})
+    scene = timo_sim.load_scene({}, {**RIGID, 'model.formulation': formulation,
+                                     'integrator.step': 0.005, 'initial.shaft_velocity': 0.03})
     run = timo_sim.simulate(scene, 20.0, estimate=False)
     omega = math.sqrt(LIMIT / REACH / inertia_of(scene))
     wanted = 0.03 / omega * np.sin(omega * run.t)
@@ -134,7 +134,7 @@ def test_small_motions_are_those_of_a_spring(formulation):
 def test_a_slow_cycle_is_a_loop_of_the_bristle_and_what_it_takes_is_heat():
     """A pendulum under a slow torque: T = m g l sin(angle) + friction, both ways."""
     period, torque, weight = 1600.0, 12.0, 9.81
-    scene = timo_sim.load_scene({
+    scene = timo_sim.load_scene({}, {
         **RIGID, 'motor.coulomb_presliding': 0.03, 'initial.shaft': -0.5 * math.pi,
         'gravity': [0.0, -weight], 'integrator.step': 0.02,
         'load.torque.harmonic.amplitude': [torque],
@@ -157,8 +157,8 @@ def test_a_slow_cycle_is_a_loop_of_the_bristle_and_what_it_takes_is_heat():
     {'motor.coulomb_rest': 0.6, 'motor.coulomb_speed': 0.05}], ids=str)
 def test_stick_slip_is_of_second_order(more):
     """Against an integration that stops at each event; a part may build up over a speed."""
-    scene = timo_sim.load_scene({**RIGID, 'load.torque.harmonic.amplitude': [3.0],
-                                 'load.torque.harmonic.frequency': [1.1], **more})
+    scene = timo_sim.load_scene({}, {**RIGID, 'load.torque.harmonic.amplitude': [3.0],
+                                     'load.torque.harmonic.frequency': [1.1], **more})
     inertia, uneven = inertia_of(scene), scene.values['motor.coulomb_asymmetry']
     rest = scene.values['motor.coulomb_rest']
 
@@ -183,7 +183,7 @@ def test_stick_slip_is_of_second_order(more):
 def test_all_joints_follow_an_integration_that_stops_at_each_event(more):
     start = {name: value for name, value in LIVELY.items() if not (
         more.get('carrier.held') and name.startswith('initial.carrier'))}
-    scene = timo_sim.load_scene({
+    scene = timo_sim.load_scene({}, {
         'arm.damping_ratio': [0.02], **SHAKEN, **start, **more})
     times, steps, errors = np.arange(0.0, 1.001, 0.02), [0.004, 0.002, 0.001, 0.0005, 0.00025], []
     truth = by_events_of_scene(scene, 1.0, times)
@@ -199,7 +199,7 @@ def test_all_joints_follow_an_integration_that_stops_at_each_event(more):
 
 def test_with_little_presliding_it_is_friction_that_sticks():
     """A slew that ends at rest, sooner or later by the way in which friction builds up."""
-    slew = timo_sim.load_scene({
+    slew = timo_sim.load_scene({}, {
         'motor.coulomb_friction': 30.0, 'arm.damping_ratio': [0.1], 'integrator.step': 0.00025,
         'initial.shaft_velocity': 0.4})
     stuck = timo_sim.simulate(slew, 2.0, sample_every=200, estimate=False)
@@ -215,8 +215,8 @@ def test_with_little_presliding_it_is_friction_that_sticks():
 
 def test_it_may_be_beside_friction_that_sticks():
     """A carrier that sticks is a held one to the shaft on its bristle."""
-    held = timo_sim.load_scene({**SHAFT, **SHAKEN, 'load.torque.harmonic.amplitude': [25.0],
-                                'carrier.held': 'both'})
+    held = timo_sim.load_scene({}, {**SHAFT, **SHAKEN, 'load.torque.harmonic.amplitude': [25.0],
+                                    'carrier.held': 'both'})
     stuck = held.vary({'carrier.held': 'none', 'carrier.coulomb_friction': 1e3})
     runs = [timo_sim.simulate(each, 2.0, estimate=False) for each in (held, stuck)]
     # The carrier may give way by less than 1e-12 m in a step.
@@ -226,7 +226,7 @@ def test_it_may_be_beside_friction_that_sticks():
 
 @pytest.mark.parametrize('more', [{}, GEAR], ids=str)
 def test_energy_and_what_friction_takes_are_the_work_of_the_loads(more):
-    scene = timo_sim.load_scene({**LIVELY, **more})
+    scene = timo_sim.load_scene({}, {**LIVELY, **more})
     load, steps, errors = np.zeros(LOADS), [0.004, 0.002, 0.001], []
     load[[FORCE_X, FORCE_Y, TORQUE]] = 3.0, -5.0, 4.0
     for step in steps:
@@ -244,7 +244,7 @@ def test_energy_and_what_friction_takes_are_the_work_of_the_loads(more):
 
 
 def test_a_view_closes_the_balance():
-    run = timo_sim.simulate(timo_sim.load_scene({**LIVELY, **SHAKEN}), 2.0, estimate=False)
+    run = timo_sim.simulate(timo_sim.load_scene({}, {**LIVELY, **SHAKEN}), 2.0, estimate=False)
     assert np.abs(track_of_run(run).trace('balance').values).max() < 1e-5
 
 
@@ -253,7 +253,7 @@ def test_a_view_closes_the_balance():
 def test_the_linear_model_has_the_springs_of_the_bristles(more):
     """Within presliding a run is the step response of the linear model, sensors included."""
     still = {name: value for name, value in LIVELY.items() if 'initial' not in name}
-    scene = timo_sim.load_scene({**still, 'initial.shaft': 0.4, **more})
+    scene = timo_sim.load_scene({}, {**still, 'initial.shaft': 0.4, **more})
     with pytest.warns(timo_sim.ModelWarning, match='motions within coulomb_presliding'):
         linear = timo_sim.linearize(scene).select(['torque_N_m'])
     torque, duration = 1e-3, 0.3
@@ -278,9 +278,9 @@ def test_steps_too_long_for_the_spring_are_refused(scene):
         timo_sim.load_scene(stiff)
     step, factor = map(float, re.search('most (.*) s for .* coulomb_presliding (.*) times', str(
         caught.value)).groups())
-    timo_sim.load_scene({**stiff, 'motor.coulomb_presliding': 1e-8 * 1.01 * factor})
+    timo_sim.load_scene({}, {**stiff, 'motor.coulomb_presliding': 1e-8 * 1.01 * factor})
     # At the limit it swings without a gain of energy, and a rigid arm with the loss of (T65).
-    run = timo_sim.simulate(timo_sim.load_scene({
+    run = timo_sim.simulate(timo_sim.load_scene({}, {
         **stiff, 'integrator.step': step, **{name: 0.0 for name in scene if 'velocity' in name},
         'initial.shaft_velocity': 1e-6}), 2000 * step, estimate=False)
     energy = (run.energy() + run.friction_heat) / run.energy()[0]

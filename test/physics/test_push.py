@@ -24,7 +24,7 @@ def test_a_clamped_arm_bends_as_a_beam_under_a_point_load(formulation):
     """Its tip: w = F a^2 (3 l - a) / (6 E I) + F a / (kappa G A), phi = F a^2 / (2 E I)."""
     errors = []
     for modes in (3, 8):
-        scene = timo_sim.load_scene({
+        scene = timo_sim.load_scene({}, {
             'carrier.held': 'both', 'motor.shaft': 'locked', 'initial.shaft': 0.0,
             'model.formulation': formulation, 'model.modes': modes, 'push.position': PLACE,
             'initial.equilibrium': True, **pushed('push')})
@@ -44,7 +44,7 @@ def test_a_clamped_arm_bends_as_a_beam_under_a_point_load(formulation):
          'initial.modal_rates': [0.5, 0.1, 0.0, 0.0]}], ids=str)
 def test_the_energy_grows_by_the_work_of_the_push(values):
     """A constant force in world axes does the work F times the way of its point."""
-    scene = timo_sim.load_scene({
+    scene = timo_sim.load_scene({}, {
         **MOVING, **pushed('push', x=-2.0, y=3.0), 'push.position': PLACE, **values})
     run = timo_sim.simulate(scene, 0.5, estimate=False)
     way = run.position(PLACE) - run.position(PLACE)[0]
@@ -62,7 +62,7 @@ def test_the_energy_grows_by_the_work_of_the_push(values):
 def test_at_the_tip_it_is_a_force_on_the_tip(values):
     """Motions, efforts, strain at the root as sensor and in fits, and linear models."""
     values = {**MOVING, 'push.position': LENGTH, **values}
-    runs = [timo_sim.simulate(timo_sim.load_scene({**values, **pushed(name, x=0.3)}), 0.2,
+    runs = [timo_sim.simulate(timo_sim.load_scene({}, {**values, **pushed(name, x=0.3)}), 0.2,
                               estimate=False) for name in ('push', 'tip_force')]
     for seen in (lambda run: run.values, lambda run: run.effort, lambda run: run.root_strain(),
                  OUTPUTS['root_strain'].of_run):
@@ -78,7 +78,7 @@ def test_at_the_tip_it_is_a_force_on_the_tip(values):
 def test_commands_push_as_loads_do_also_in_a_batch():
     values = {**MOVING, 'push.position': PLACE}
     scene = timo_sim.load_scene(values)
-    wanted = timo_sim.simulate(timo_sim.load_scene({**values, **pushed('push', x=0.3)}), 0.1,
+    wanted = timo_sim.simulate(timo_sim.load_scene({}, {**values, **pushed('push', x=0.3)}), 0.1,
                                estimate=False).values[-1]
     simulator, batch = timo_sim.Simulator(scene), timo_sim.Batch(scene, n=2)
     assert np.array_equal(simulator.step(push=(0.3, FORCE), duration=0.1).values, wanted)

@@ -77,7 +77,7 @@ def by_dop853(scene, duration):
     {'carrier.held': 'y', 'model.axial_modes': 1}], ids=str)
 def test_another_integrator_finds_the_same_motion(more):
     """By SciPy's DOP853; of fourth order where steps resolve all vibrations."""
-    scene = timo_sim.load_scene({
+    scene = timo_sim.load_scene({}, {
         **BOTH, 'initial.shaft_velocity': 0.5, 'arm.damping_ratio': [0.02],
         'initial.modal_coordinates': [0.2, *(2 + more.get('model.axial_modes', 0)) * [0.0]],
         **more})
@@ -115,8 +115,8 @@ def test_over_a_small_speed_it_is_dry_friction():
 
 
 def test_energy_is_the_heat_of_friction():
-    scene = timo_sim.load_scene({**BOTH, 'initial.shaft_velocity': 2.0,
-                                 'initial.carrier_x_velocity': 0.5, 'model.modes': 3})
+    scene = timo_sim.load_scene({}, {**BOTH, 'initial.shaft_velocity': 2.0,
+                                     'initial.carrier_x_velocity': 0.5, 'model.modes': 3})
     run = timo_sim.simulate(scene, 4.0, 4, estimate=False)
     heat = run.dissipated()
     total = run.energy() + heat
@@ -145,8 +145,8 @@ def test_the_linear_model_has_its_slope_at_rest():
     """It is that of a viscous friction, the limit over the speed."""
     at_rest = {'initial.shaft': 0.3, 'initial.shaft_velocity': 0.0}
     with pytest.warns(timo_sim.ModelWarning, match='well below coulomb_speed'):
-        smooth = timo_sim.linearize(timo_sim.load_scene({**BOTH, **at_rest}))
-    viscous = timo_sim.linearize(timo_sim.load_scene({
+        smooth = timo_sim.linearize(timo_sim.load_scene({}, {**BOTH, **at_rest}))
+    viscous = timo_sim.linearize(timo_sim.load_scene({}, {
         'motor.viscous_friction': 2.0 / 0.3, 'carrier.viscous_friction': 1.0 / 0.05, **at_rest}))
     for name in 'ABCD':
         one, other = getattr(smooth, name), getattr(viscous, name)
@@ -155,7 +155,7 @@ def test_the_linear_model_has_its_slope_at_rest():
 
 def test_longer_steps_than_are_refused_are_unstable():
     """The method amplifies a small speed from 2.785 times the step over the time constant on."""
-    scene = timo_sim.load_scene({**RIGID, 'initial.shaft_velocity': 1e-6})
+    scene = timo_sim.load_scene({}, {**RIGID, 'initial.shaft_velocity': 1e-6})
     rate = 2.0 / (0.3 * inertia_of(scene))
     for product, grows in ((2.75, False), (2.82, True)):
         model = scene.build()
@@ -175,5 +175,5 @@ def test_steps_that_are_unstable_are_refused(friction):
         timo_sim.load_scene(steep)
     step, factor = re.search('most (.*) s for .* coulomb_speed (.*) times', str(caught.value)
                              ).groups()
-    timo_sim.load_scene({**steep, 'integrator.step': float(step)})
-    timo_sim.load_scene({**steep, 'motor.coulomb_speed': 1e-4 * float(factor)})
+    timo_sim.load_scene({}, {**steep, 'integrator.step': float(step)})
+    timo_sim.load_scene({}, {**steep, 'motor.coulomb_speed': 1e-4 * float(factor)})

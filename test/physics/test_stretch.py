@@ -29,7 +29,7 @@ def scene_of(*parts, **values):
     merged = {'model.axial_modes': 1}
     for part in parts:
         merged.update(part)
-    return timo_sim.load_scene({**merged, **values})
+    return timo_sim.load_scene({}, {**merged, **values})
 
 
 @pytest.mark.parametrize('mass', [0.0, 2.0, 50.0])
@@ -157,7 +157,7 @@ def test_stretch_that_matters_gives_a_warning():
     fast = {**HELD, 'model.modes': 5, 'initial.shaft_velocity': 10.0}
     with pytest.warns(timo_sim.ModelWarning, match='take model.axial_modes 1'):
         timo_sim.simulate(timo_sim.load_scene(fast), 4.0, 10)
-    assert timo_sim.simulate(timo_sim.load_scene({**fast, 'model.axial_modes': 1}), 4.0,
+    assert timo_sim.simulate(timo_sim.load_scene({}, {**fast, 'model.axial_modes': 1}), 4.0,
                              10).warning is None
 
 
@@ -172,7 +172,7 @@ LARGE = {'end_effector.mass': 0.5, 'end_effector.inertia': 0.01, 'arm.section.he
 
 @pytest.mark.parametrize('load, until', [(BUCKLED, 1.6), (LARGE, 1.0)], ids=['buckled', 'large'])
 def test_an_error_names_a_step_with_which_an_arm_that_stretches_does_not_diverge(load, until):
-    scene = timo_sim.load_scene({**BENT, **load})
+    scene = timo_sim.load_scene({}, {**BENT, **load})
     with pytest.raises(timo_sim.DivergenceError) as error:
         timo_sim.simulate(scene, until, estimate=False)
     step = float(re.search('integrator.step = (.*?) s', str(error.value))[1])

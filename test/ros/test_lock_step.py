@@ -48,7 +48,7 @@ def test_constant_force_gives_momentum_force_times_time(start, client):
     topics = Recording(node.log).topics
     assert topics['~/carrier_wrench'].log_ns.tolist() == [0]
     assert topics['~/motor_torque'].log_ns.tolist() == [500000000]
-    scene = timo_sim.load_scene({
+    scene = timo_sim.load_scene({}, {
         f'load.force_{axis}.piecewise': {'time': [0.0], 'value': [force]}
         for axis, force in (('x', 4.0), ('y', -1.0))})
     run = timo_sim.simulate(scene, 0.5, sample_every=10)

@@ -208,8 +208,8 @@ def export_c(scene: Scene, output: str, target: str, estimate: bool, name: str) 
 @click.option('--fmi', type=click.Choice(['2', '3']), default='3', show_default=True,
               help='Version of FMI: 2.0 or 3.0.')
 @click.option('--estimate/--no-estimate', default=True, show_default=True, help=(
-    'Advance a finer run beside, for the output estimated_tip_error_m; it takes four to '
-    'seven times as long as the run alone.'))
+    'Advance a finer run beside, for the output estimated_tip_error_m; doc/scene.md says what '
+    'it costs.'))
 @click.option('--target', default='host', show_default=True, metavar='NAME', help=(
     'Processor that runs it: host (this one), x86-64-v2 or x86-64-v3 (many).'))
 def export_fmu(scene: Scene, output: str, fmi: str, estimate: bool, target: str) -> None:
@@ -255,7 +255,7 @@ def modes(scene: Scene, more: tuple[float, ...], speed: tuple[float, ...],
         timo_sim modes paper --set arm.damping_ratio=0.01 --png modes.png
         timo_sim modes spin_up --speed 0 3 6 --png campbell.png
 
-    The error is relative, from a model with three more modes.
+    The error is relative, from a model with two more modes.
     """
     from timo_sim.runs.modes import modes
     _require(matplotlib=png)
@@ -547,14 +547,11 @@ def urdf(scene: str, settings: tuple[str, ...], library: str | None) -> None:
     Lengths, masses, centres of mass and moments of inertia are those of the scene with a straight
     arm; the link arm includes the inertia of the shaft. Links have the names of the frames.
     """
-    from timo_sim.scene.files import read_parameter_file
-    from timo_sim.scene.parameters import check, DEFAULTS, frame_names
-    from timo_sim.scene.scene import load_scene
+    from timo_sim.scene.parameters import frame_names
+    from timo_sim.scene.scene import scene_from, values_of
     from timo_sim.scene.urdf import urdf_of
-    changes = parse_settings(settings)
-    loaded = load_scene(scene, changes)
-    own = check({**read_parameter_file(scene), **changes}, scene)
-    values = {**DEFAULTS, **own, **loaded.values}
+    values = values_of(scene, parse_settings(settings))
+    loaded = scene_from(values)
     control = None
     if library:
         from timo_sim.runs.ros2_control import write_hardware

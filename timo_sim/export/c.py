@@ -187,8 +187,8 @@ def export_c(scene: SceneLike, folder: Path | str, target: str = 'host', estimat
     target : str
         'host', this computer's processor; 'x86-64-v2', 'x86-64-v3' or 'aarch64', for Linux.
     estimate : bool
-        Whether a finer run is advanced beside, to estimate the error of the tip. It takes
-        four to seven times as long as the run alone.
+        Whether a finer run is advanced beside, to estimate the error of the tip; doc/scene.md
+        says what that costs.
     name : str
         First part of all names in C.
 

@@ -65,7 +65,7 @@ def export_fmu(scene: SceneLike, path: Path | str, version: int = 3, estimate: b
         Of FMI, 3 or 2.
     estimate : bool
         Whether it has the output `estimated_tip_error_m`, from a finer run that is advanced
-        beside. It takes four to seven times as long as the run alone.
+        beside. doc/scene.md says what it costs.
     target : str
         'host', this computer's processor, or one for many: 'x86-64-v2' or 'x86-64-v3'.
 

@@ -14,7 +14,6 @@ import time
 from typing import Any, TYPE_CHECKING
 
 import numpy as np
-import yaml
 
 from timo_sim.extras import optional
 from timo_sim.fitting.next import next_inputs, NextInput
@@ -25,8 +24,8 @@ from timo_sim.fitting.posterior import Posterior, Samples
 from timo_sim.fitting.search import LOSSES, NUMERICAL, Search
 from timo_sim.fitting.suspects import name_suspects, Suspect, suspects
 from timo_sim.runs.run import Run
-from timo_sim.scene.files import whole_file
-from timo_sim.scene.parameters import changed, Parameter, ParameterError, short, warn
+from timo_sim.scene.files import scene_text, whole_file
+from timo_sim.scene.parameters import Parameter, ParameterError, short, warn
 from timo_sim.scene.scene import load_scene, Scene, SceneLike
 from timo_sim.simulation.finer import refine
 from timo_sim.simulation.warnings import DivergenceError
@@ -283,22 +282,15 @@ class Fit(Prediction):
         return next_inputs(self.posterior.search, self.information, self.scene, limit, duration)
 
     def save(self, path: str | Path) -> Path:
-        """Write the fitted scene as a parameter file for `sim_node`; an existing one is kept."""
-        path, nested = Path(path), {}
+        """Write the fitted scene, all of it, as a parameter file; an existing one is kept."""
+        path = Path(path)
         sources = [each.record.source for each in [self, *self.more] if each.until]
-        for name, value in changed(self.scene.values).items():
-            place = nested
-            *groups, last = name.split('.')
-            for group in groups:
-                place = place.setdefault(group, {})
-            place[last] = [*value] if isinstance(value, tuple) else value
         head = ''.join(f'# {line}'.rstrip() + '\n' for line in [
             f'Fitted to {", ".join(sources)} by timo_sim fit.', *self.report().split('\n')])
         if path.exists():
             raise ParameterError(f'{path} exists: remove it or choose another name')
         with whole_file(path, new=True) as part:
-            part.write_text(head + yaml.safe_dump(
-                {'/**': {'ros__parameters': nested}}, sort_keys=False), encoding='utf-8')
+            part.write_text(head + scene_text(self.scene.values), encoding='utf-8')
         return path
 
 

@@ -185,7 +185,7 @@ class Recording:
     @cached_property
     def scene(self) -> Any:
         """The scene of a log of this package, else None."""
-        return self._build(load_scene) if self.facts else None
+        return self._build(lambda values: load_scene({}, values)) if self.facts else None
 
     @cached_property
     def frames(self) -> dict[str, str]:

@@ -3,12 +3,13 @@
 
 """The node `timo_sim`, which connects loop, topics, services, diagnostics and log."""
 
-from collections.abc import Callable, Iterator
+from collections.abc import Callable, Iterator, Mapping
 from functools import partial
 from importlib.util import find_spec
 import math
 import threading
 import time
+from types import MappingProxyType
 from typing import Any
 
 from rclpy.parameter_service import ParameterService
@@ -37,16 +38,17 @@ class SimNode(ParameterNode):
     Integrates a scene in step with the wall clock.
 
     `run` is called by the main thread, callbacks by the executor's. Both touch the simulation only
-    under `_lock`. `stop` is a StopRequest; `options` are those of rclpy.node.Node, such as the
-    namespace of one of several nodes in a process. `frames` are the names of FRAMES. Raises
+    under `_lock`. `stop` is a StopRequest; `files` are those of `ParameterNode.given`;
+    `options` are those of rclpy.node.Node, such as the namespace of one of several nodes in a
+    process. `frames` are the names of FRAMES. Raises
     ParameterError.
     """
 
-    def __init__(self, stop: Any, **options: Any) -> None:
+    def __init__(self, stop: Any, files: Mapping = MappingProxyType({}), **options: Any) -> None:
         # Compiling takes seconds. Services and topics come after it: others wait for these.
         super().__init__('timo_sim', start_parameter_services=False, **options)
         self._stop, self._lock, self._ended = stop, threading.Lock(), False
-        self._values, self._kept = self.given(), [*self.publishers]  # rclpy's own
+        self._values, self._kept = self.given(files), [*self.publishers]  # rclpy's own
         self._make(*self._prepare(self._values))
         self.declare(self._values, self._on_parameters)
         self._parameter_services = ParameterService(self)

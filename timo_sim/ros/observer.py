@@ -3,9 +3,11 @@
 
 """The node `observer`, which estimates the motion of an arm from its sensors and commands."""
 
+from collections.abc import Mapping
 from functools import partial
 import math
 import time
+from types import MappingProxyType
 from typing import Any
 
 import numpy as np
@@ -45,13 +47,13 @@ class ObserverNode(ParameterNode):
 
     subscriptions: Any = ()  # no executor serves them: `run` polls
 
-    def __init__(self, stop: Any) -> None:
+    def __init__(self, stop: Any, files: Mapping = MappingProxyType({})) -> None:
         super().__init__('observer', namespace='timo_sim', start_parameter_services=False)
         given = self._parameter_overrides.pop('disturbance', None)
         disturbance = given and {'torque': _DISTURBANCE.check(given.value)}
         if disturbance and len(disturbance['torque']) != 2:
             raise ParameterError(f'disturbance must be [N m, s], got {short(given.value)}')
-        values = self.given()
+        values = self.given(files)
         scene, frames = scene_from(values), frame_names(values)
         self._stop, self._begin = stop, partial(observer, scene, disturbance=disturbance)
         self._observer, self._begun = self._begin(), False

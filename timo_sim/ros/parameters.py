@@ -3,10 +3,11 @@
 
 """The node's parameters, declared with descriptions and checked by the rules for YAML files."""
 
-from collections.abc import Callable
+from collections.abc import Callable, Mapping
 from dataclasses import replace
 import math
 import sys
+from types import MappingProxyType
 from typing import Any
 
 from rcl_interfaces.msg import (
@@ -21,10 +22,10 @@ from rclpy.qos_overriding_options import QoSOverridingOptions
 from rclpy.service import Service
 from rclpy.subscription import Subscription
 
-from timo_sim.scene.files import is_of_rclpy, QOS
+from timo_sim.scene.files import is_for, is_of_rclpy, QOS
 from timo_sim.scene.parameters import (
-    check, DEFAULTS, did_you_mean, Parameter as Rule, ParameterError, PARAMETERS, RATES, short,
-    whole_ratio)
+    check, complete, did_you_mean, find_outdated, gives_arm, Parameter as Rule, ParameterError,
+    PARAMETERS, RATES, short, whole_ratio)
 
 _SOURCE = 'set at run time'
 # QoS policies that can be set. With history keep_all a slow subscriber would hold up the node.
@@ -37,8 +38,13 @@ _POLICIES = {rule.name: rule for rule in (
 class ParameterNode(Node):
     """A node with the parameters of timo_sim: `given` reads them, `declare` declares them."""
 
-    def given(self) -> dict[str, Any]:
-        """Return the checked value of each parameter by name; raise ParameterError."""
+    def given(self, files: Mapping[str, Mapping] = MappingProxyType({})) -> dict[str, Any]:
+        """
+        Return the checked value of each parameter by name; raise ParameterError.
+
+        `files` are the sections of the parameter files of the command line. If they give any
+        `arm.*`, they are a scene of its own; other parameters change the paper's.
+        """
         # Undeclared names must be refused, and rclpy has no public way to list them.
         given = {name: parameter.value for name, parameter in self._parameter_overrides.items()}
         # ROS reads y as true, also in `ros2 param dump`, which writes it without quotes.
@@ -48,7 +54,15 @@ class ParameterNode(Node):
             value = given.pop(name)
             if name.startswith(QOS):
                 _check_qos(name, value)
-        return {**DEFAULTS, **check(given, 'ROS parameter')}
+        name = self.get_fully_qualified_name()
+        own = any(gives_arm(values) for sections in files.values()
+                  for section, values in sections.items() if is_for(section, name))
+        given = check(given, 'ROS parameter')
+        values = complete(given, own)
+        outdated = own and find_outdated(given, values)
+        if outdated:
+            self.get_logger().warning(outdated)
+        return values
 
     def declare(self, values: dict[str, Any], apply: Callable[[dict[str, Any]], None]) -> None:
         """

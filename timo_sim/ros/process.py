@@ -63,13 +63,14 @@ def _warn_of_unused_file(node, file, sections):
         node.get_logger().warning(f'{file} has no parameter for {name}{others}')
 
 
-def run(stop: Any, args: list[str] | None, make: Callable[[Any], Any]) -> int:
+def run(stop: Any, args: list[str] | None, make: Callable[..., Any]) -> int:
     """
     Start ROS, run a node until a StopRequest, end ROS; return the exit code.
 
-    `make` takes the StopRequest and returns the node, which has `open`, `run` and `count_failure`.
-    The code is 0, 1 if the middleware refuses, or 2 for a parameter that breaks its rule. `args`
-    is the command line, by default that of the process.
+    `make` takes the StopRequest and, as `files`, the sections of the parameter files; it returns
+    the node, which has `open`, `run` and `count_failure`. The code is 0, 1 if the
+    middleware refuses, or 2 for a parameter that breaks its rule. `args` is the command line, by
+    default that of the process.
     """
     sys.setswitchinterval(SWITCH_INTERVAL)
     done = threading.Event()
@@ -99,7 +100,7 @@ def run(stop: Any, args: list[str] | None, make: Callable[[Any], Any]) -> int:
     except (ParameterError, RuntimeError, UnicodeError) as error:  # arguments, or a file
         return _refuse(error)
     try:
-        node = make(stop)
+        node = make(stop, files=files)
     except (ParameterError, NameValidationException, ParameterException) as error:
         return _refuse(error)
     except RCLError as error:  # the middleware refuses

@@ -37,7 +37,7 @@ class Vibrations(PointsOfArm):
     `poles`, (n,) [1/s], have positive imaginary parts. `vectors`, (n, 3 + N), are carrier, shaft
     and modal coordinates, complex; the largest displacement of the arm is 1 m. `error`, (n,), is
     the estimated relative error of the frequencies: their distance from those of a model with
-    three more modes in bending and, in `exact`, one more axial mode.
+    two more modes in bending and, in `exact`, one more axial mode.
     """
 
     model: Formulation

@@ -21,10 +21,9 @@ from timo_sim.log.write import CHANGE, change_note, NewLog, environment_differen
 from timo_sim.model.layout import LOADS
 from timo_sim.runs.simulate import resolve
 from timo_sim.runs.run import Run
-from timo_sim.scene.files import read_parameter_file
 from timo_sim.scene.parameters import (
     check, DEFAULTS, frame_names, LATEST, Parameter, ParameterError, steps_in, whole_ratio)
-from timo_sim.scene.scene import Scene, scene_from
+from timo_sim.scene.scene import Scene, scene_from, values_of
 from timo_sim.simulation.simulator import CARRIER, Simulator
 from timo_sim.simulation.warnings import DivergenceError
 from timo_sim.topics.cdr import pack
@@ -138,15 +137,13 @@ def replay(file: str | Path, changes: Mapping[str, Any] | None = None,
 
 def _values(recording, scene_file, changes):
     if scene_file is not None:
-        given, source = read_parameter_file(scene_file), str(scene_file)
-    elif recording.facts:
-        # `recording.scene` raises LogError if values are wrong; it has none of the node's own.
-        checked, source = recording.scene.values, recording.title
-        given = {**recording.parameters, **checked}
-    else:
+        return values_of(scene_file, changes)
+    if not recording.facts:
         raise ParameterError(f'{recording.title} is a plain bag without {recording.name}/scene: '
                              'give its scene by --scene')
-    return {**DEFAULTS, **check(given, source), **check(changes, '--set')}
+    # `recording.scene` raises LogError if values are wrong; it has none of the node's own.
+    given = {**recording.parameters, **recording.scene.values}
+    return {**DEFAULTS, **check(given, recording.title), **check(changes, '--set')}
 
 
 @dataclass

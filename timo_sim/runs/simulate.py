@@ -273,8 +273,8 @@ def simulate(scene: SceneLike, duration: float, sample_every: int = 1,
     sample_every : int
         Steps between samples; divides the number of steps.
     estimate : bool
-        Whether the error of the tip is measured by a finer run, see `Run.stats`, which takes
-        three to five times as long.
+        Whether the error of the tip is measured by a finer run, see `Run.stats`; doc/scene.md says
+        what that costs.
 
     Raises
     ------

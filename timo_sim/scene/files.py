@@ -14,7 +14,7 @@ from typing import Any
 
 import yaml
 
-from timo_sim.scene.parameters import did_you_mean, ParameterError, PARAMETERS, short
+from timo_sim.scene.parameters import did_you_mean, ParameterError, PARAMETERS, short, stated
 
 QOS = 'qos_overrides.'  # prefix of rclpy's parameters for the QoS of topics
 _MAX_DEPTH = max(name.count('.') for name in PARAMETERS)
@@ -194,6 +194,18 @@ def parse_yaml(content: bytes | str, source: Path | str) -> Any:
         # PyYAML raises errors of many types for a tag that does not suit its value.
         reason = ' '.join(str(error).split())
         raise ParameterError(f'{source} is not a YAML file: {reason}') from None
+
+
+def scene_text(values: Mapping[str, Any]) -> str:
+    """Return the YAML of a scene with these values, all of the manipulator and its start."""
+    nested: dict[str, Any] = {}
+    for name, value in stated(values).items():
+        place = nested
+        *groups, last = name.split('.')
+        for group in groups:
+            place = place.setdefault(group, {})
+        place[last] = [*value] if isinstance(value, tuple) else value
+    return yaml.safe_dump({'/**': {'ros__parameters': nested}}, sort_keys=False)
 
 
 def flatten(values: Mapping[str, Any], prefix: str = '') -> dict[str, Any]:

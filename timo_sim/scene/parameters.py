@@ -4,8 +4,9 @@
 """
 All parameters, with default, unit, meaning and rule, defined once for YAML, Python and ROS.
 
-The defaults are the paper's manipulator (its Tables 1 and 3) at rest, without loads. Values are
-given by dotted name; [k] stands for an element of a list.
+The defaults are the paper's manipulator (its Tables 1 and 3) at rest, without loads; a scene that
+gives any of `arm` has nothing of it (`complete`). Values are given by dotted name; [k] stands for
+an element of a list.
 """
 
 from collections.abc import Callable, Iterable, Mapping
@@ -247,6 +248,8 @@ _OF_MATERIAL = 'arm.density', 'arm.young_modulus', 'arm.shear_modulus'
 _SENSOR_TOPICS = [output.name for output in _OUTPUTS if output.delay]
 
 _ALL = [
+    Parameter('scene_version', 1, '', 'version of the rule for what a scene leaves out', low=1,
+              high=1),
     _positive('arm.length', 2.0, 'm', 'length of the arm'),
     Parameter('arm.section.shape', 'rectangle', '', 'shape of the section; i stands in the plane, '
               'its web along the height', choices=SHAPES),
@@ -282,7 +285,7 @@ _ALL = [
               'frequencies are higher', choices=('clamped', 'system')),
     _not_negative('hub.radius', 0.0, 'm', "distance from the shaft's axis to the root of the arm, "
                   'along the arm; the inertia of the hub is part of motor.shaft_inertia'),
-    _positive('carrier.mass', 5.0, 'kg', 'mass of the carrier'),
+    _not_negative('carrier.mass', 5.0, 'kg', 'mass of the carrier; > 0 unless it is held'),
     _not_negative('carrier.viscous_friction', 0.0, 'N s/m', 'viscous friction force on the '
                   'carrier per speed, along world x and y', runtime=True),
     _not_negative('carrier.coulomb_friction', 0.0, 'N', 'largest Coulomb friction force on the '
@@ -494,6 +497,73 @@ def check_runtime(values: Mapping[str, Any], later: Mapping[str, Any]) -> None:
         raise ParameterError(f'{fixed[0]} = {short(later[fixed[0]])} cannot be set while a '
                              f'simulation{" of newton_root_stress" * (fixed[0] in _TIP)} runs; '
                              f'it stays {short(values[fixed[0]])}')
+
+
+# What a scene of its own has where it does not say; the paper's manipulator has other values.
+_NEUTRAL = {'carrier.mass': 0.0, 'motor.mass': 0.0, 'motor.shaft_inertia': 0.0,
+            'end_effector.mass': 0.0, 'end_effector.inertia': 0.0, 'initial.shaft': 0.0}
+
+
+def gives_arm(names: Iterable[str]) -> bool:
+    """Return whether values of these names are a scene of its own: whether they give any `arm`."""
+    return any(name.startswith('arm.') for name in names)
+
+
+def complete(given: Mapping[str, Any], own: bool) -> dict[str, Any]:
+    """
+    Return all values by name: checked ones that are given, and what they leave out.
+
+    That is the paper's manipulator at rest, and none of it in a scene of its `own`: there it is no
+    mass, no load and a straight arm at rest at angle 0. Raises ParameterError if such a scene
+    lacks a value that nobody can assume.
+    """
+    values = {**DEFAULTS, **(_NEUTRAL if own else {}), **given}
+    for name, why in _asked_for(values) if own else ():
+        profile = name.replace('section.', '').replace('arm.', 'arm.profile.')
+        if name not in given and not given.get(profile):
+            raise ParameterError(
+                f'{name} must be given{why}: values that give any arm.* are a scene of its own, '
+                "which has nothing of the paper's arm; overrides of a scene, such as "
+                "load_scene('paper', {...}) or --set, change that scene")
+    return values
+
+
+def _asked_for(values):
+    """Yield names that a scene of its own must give, each with the reason."""
+    yield 'arm.length', ''
+    if not all(values[f'arm.section.{name}'] or values[f'arm.profile.{name}']
+               for name in ('mass_per_length', 'bending_stiffness')):
+        shape = values['arm.section.shape']
+        if shape not in ('round', 'tube'):
+            yield 'arm.section.width', ', or a measured stiffness and mass per length'
+        yield 'arm.section.height', ', or a measured stiffness and mass per length'
+        for name in _OF_MATERIAL:
+            yield name, ', or arm.material'
+    if values['motor.shaft'] != 'locked':
+        yield 'motor.shaft_inertia', f' with motor.shaft = {values["motor.shaft"]}'
+    if values['carrier.held'] != 'both':
+        yield 'carrier.mass', f' with carrier.held = {values["carrier.held"]}'
+
+
+def find_outdated(given: Mapping[str, Any], values: Mapping[str, Any]) -> str | None:
+    """Return a warning about what a scene of its own without version leaves out, or None."""
+    still = {'motor.mass': values['carrier.held'] == 'both' and not any(values['gravity']),
+             'initial.shaft': values['motor.shaft'] == 'driven'}
+    old = [f'{name} = {values[name]:g} (was {DEFAULTS[name]:g})' for name in _NEUTRAL
+           if name not in given and name in (
+               'end_effector.mass', 'end_effector.inertia', *still) and not still.get(name)]
+    if not old or 'scene_version' in given:
+        return None
+    return ('values that this scene leaves out are no longer those of the paper: '
+            f'{", ".join(old)}; give them, or scene_version: 1 if this is meant')
+
+
+def stated(values: Mapping[str, Any]) -> dict[str, Any]:
+    """Return what a file states: all of the manipulator and its start, and what else changed."""
+    groups = 'arm.', 'hub.', 'carrier.', 'motor.', 'end_effector.', 'gravity', 'initial.'
+    others = changed(values)
+    return {name: value for name, value in values.items()
+            if name == 'scene_version' or name.startswith(groups) or name in others}
 
 
 def changed(values: Mapping[str, Any]) -> dict[str, Any]:

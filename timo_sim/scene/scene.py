@@ -28,8 +28,8 @@ from timo_sim.scene.files import flatten, read_parameter_file
 from timo_sim.scene.loads import (
     CHANNELS, check_slope, Drive, Harmonic, Load, Piecewise, Table)
 from timo_sim.scene.parameters import (
-    changed, check, DEFAULTS, DELAYS, did_you_mean, Parameter, ParameterError, PARAMETERS, SCENE,
-    short, warn, whole_ratio)
+    changed, check, complete, DELAYS, did_you_mean, find_outdated, gives_arm, Parameter,
+    ParameterError, PARAMETERS, SCENE, short, warn, whole_ratio)
 from timo_sim.topics.outputs import Output, outputs
 
 # Ranges of real solids; `load_scene` warns of values outside.
@@ -299,11 +299,12 @@ def load_scene(source: SceneLike, overrides: Mapping[str, Any] | None = None) ->
     ----------
     source : str, Path, dict or Scene
         A YAML file, the name of an installed scene ('arm', 'paper', 'pick_and_place', 'spin_up',
-        'standing'), or values by (nested or dotted) name. Values that are not given have their
-        defaults: the paper's manipulator at rest without loads. Parameters of the node are checked
-        and left out.
+        'standing'), or values by (nested or dotted) name. A file or dict that gives any `arm.*` is
+        a scene of its own: what it leaves out is 0, no load, or has to be given. Any other changes
+        the paper's manipulator at rest without loads. Parameters of the node are checked and left
+        out.
     overrides : dict, optional
-        Values by name that replace those of the source.
+        Values by name that replace those of the source, or are added to them.
 
     Raises
     ------
@@ -324,15 +325,26 @@ def load_scene(source: SceneLike, overrides: Mapping[str, Any] | None = None) ->
     """
     if isinstance(source, Scene):
         return source.vary(overrides) if overrides else source
-    if not isinstance(source, str | Path):
-        given, origin = flatten(source), 'given values'
-    else:
-        given, origin = read_parameter_file(source), str(source)
-    values = {**DEFAULTS, **check(given, origin), **check(flatten(overrides or {}), 'override')}
-    doubts = find_implausible(values)
-    if doubts:
-        warn(doubts)
-    return scene_from(values)
+    return scene_from(values_of(source, overrides))
+
+
+def values_of(source: str | Path | Mapping[str, Any],
+              overrides: Mapping[str, Any] | None = None) -> dict[str, Any]:
+    """Return all checked values by name, also those of the node; arguments as of `load_scene`."""
+    from_file = isinstance(source, str | Path)
+    given, origin = ((read_parameter_file(source), str(source)) if from_file
+                     else (flatten(source), 'given values'))
+    own = gives_arm(given)
+    given = {**check(given, origin), **check(flatten(overrides or {}), 'override')}
+    try:
+        values = complete(given, own)
+    except ParameterError as error:
+        raise ParameterError(f'{error} ({origin})') from None
+    for text in (find_outdated(given, values) if own and from_file else None,
+                 find_implausible(values)):
+        if text:
+            warn(text)
+    return values
 
 
 def scene_from(values: Mapping[str, Any], static: tuple[str, ...] | None = None) -> Scene:
@@ -664,6 +676,8 @@ def check_together(values: Mapping[str, Any]) -> None:
         if forbidden and values[name]:
             raise ParameterError(f'{name} must be {rule} with {other} = {values[other]}, got '
                                  f'{short(values[name])}')
+    if held != 'both' and not values['carrier.mass']:
+        raise ParameterError(f'carrier.mass must be > 0 kg with carrier.held = {held}, got 0')
     if len(values['gravity']) != 2:
         raise ParameterError(f'gravity must have 2 elements, got {len(values["gravity"])}')
     if values['push.position'] > values['arm.length']:

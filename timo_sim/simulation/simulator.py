@@ -64,7 +64,7 @@ class Simulator(PointsOfArm):
     scene : Scene, or what `load_scene` takes
     estimate : bool
         Whether a finer run is advanced beside this one, to estimate its error, see
-        `simulation.finer`. It takes four to seven times as long as the run alone.
+        `simulation.finer`. doc/scene.md says what it costs.
 
     Attributes
     ----------
