@@ -52,6 +52,8 @@ def refine(scene: Scene, parts: int, modes: int | None = None, axial: int = MORE
     axial = min(axial, MOST_AXIAL - stretching)
     if not bending:
         modes = axial = 0  # a rigid arm stays rigid
+    if not scene.manipulator.arm.stretches:
+        axial = 0
     lists: dict[str, Any] = {}
     for name in _LISTS:
         if values[name]:
@@ -96,7 +98,8 @@ def choose_parts(scene: Scene) -> tuple[int, ...]:
 
 def _resolves(scene, step):
     # Whether steps see the loads, and axial vibrations if the arm stretches or picks up loads.
-    axial = scene.values['model.axial_modes'] or scene.payloads and scene.values['model.modes']
+    axial = scene.values['model.axial_modes'] or (
+        scene.payloads and scene.values['model.modes'] and scene.manipulator.arm.stretches)
     return unseen_load(replace(scene, step=step)) is None and not (
         axial and _axial_phase(scene, step) > _AXIAL_PHASE)
 
