@@ -5,6 +5,7 @@
 
 from dataclasses import replace
 import re
+import warnings
 
 from click.testing import CliRunner
 import numpy as np
@@ -345,3 +346,63 @@ def test_damping_ratios_that_no_clamped_modes_give_are_refused():
     with pytest.raises(timo_sim.ParameterError, match='mode 1 would need a ratio of -0.008'):
         timo_sim.load_scene({}, {'motor.shaft_inertia': 1e-3, 'arm.damping_ratio': [0.01],
                                  'model.modes': 5, 'arm.damping_of': 'system'})
+
+
+BARE = {'arm.length': 1.0, 'arm.section.height': 0.01, 'arm.section.width': 0.03,
+        'arm.density': 2710.0, 'arm.young_modulus': 70e9, 'arm.shear_modulus': 27e9,
+        'carrier.held': 'both', 'motor.shaft': 'locked', 'initial.shaft': 0.0,
+        'end_effector.mass': 0.0, 'end_effector.inertia': 0.0, 'model.static_modes': 'none'}
+
+
+def at_rest(model, effects, causes):
+    """Return static gains, shape (effects, causes)."""
+    return model.select(causes, effects).frequency_response([0.0])[0].real
+
+
+@pytest.mark.parametrize('hub', [0.0, 2.0])
+def test_static_gains_are_those_of_a_cantilever_with_any_number_of_modes(hub):
+    """Of bending, shear and, with axial modes, stretch; a push at 0.4 l bends the tip, too."""
+    scene = timo_sim.load_scene({**BARE, 'model.modes': 2, 'model.axial_modes': 1,
+                                 'hub.radius': hub, 'push.position': 0.4})
+    section, a = scene.manipulator.arm.section, 0.4
+    bend, shear, pull = (1.0 / section.bending_stiffness, 1.0 / section.shear_stiffness,
+                         1.0 / section.axial_stiffness)
+    across = [bend / 3.0 + shear, bend / 2.0, bend * a**2 * (3.0 - a) / 6.0 + shear * a]
+    with pytest.warns(timo_sim.ModelWarning, match='gyro_rad_per_s .* lacks .* tip_torque_N_m'):
+        model = timo_sim.linearize(scene)
+    found = at_rest(model, ['tip_transverse_m', 'tip_y_m', 'tip_angle_rad', 'tip_rotation_rad'],
+                    ['tip_force_y_N', 'tip_torque_N_m', 'push_y_N'])
+    turned = [bend / 2.0, bend, bend * a**2 / 2.0]
+    assert found == pytest.approx(np.array([across, across, across, turned]), rel=1e-6)
+    along = at_rest(model, ['tip_axial_m', 'tip_x_m'], ['tip_force_x_N', 'push_x_N'])
+    assert along == pytest.approx(np.array([[pull, a * pull]] * 2), rel=1e-6)
+
+
+@pytest.mark.parametrize('frequency', [0.3, 2.0, 15.0])
+def test_a_gyro_turns_with_the_tip_or_the_model_says_that_it_does_not(frequency):
+    """Static shapes have what a torque on a bare tip does to rates, which take no feedthrough."""
+    scene = timo_sim.load_scene({**BARE, 'model.modes': 5})
+    turns = {}
+    for static in 'none', 'both':
+        with warnings.catch_warnings(record=True) as told:
+            warnings.simplefilter('always')
+            model = timo_sim.linearize(scene.vary({'model.static_modes': static}))
+        turns[static] = model.select(['tip_torque_N_m'], [
+            'gyro_rad_per_s', 'tip_rotation_rad']).frequency_response([frequency])[0, :, 0]
+        assert bool(told) == (static == 'none')
+    gyro, rotation = turns['both']
+    assert gyro == pytest.approx(2j * np.pi * frequency * rotation, rel=1e-6)
+    gyro, rotation = turns['none']
+    assert abs(gyro / (2j * np.pi * frequency * rotation) - 1.0) > 0.07
+
+
+def test_modes_are_the_vibrations_of_the_linear_model_on_springs_of_presliding():
+    """A rigid arm on the spring of its friction before it slides: `sqrt(limit / reach / J)`."""
+    scene = timo_sim.load_scene({
+        **BARE, 'model.modes': 0, 'motor.shaft': 'free', 'motor.shaft_inertia': 0.1,
+        'motor.coulomb_friction': 0.4, 'motor.coulomb_presliding': 0.02})
+    inertia = scene.build().mass_matrix(scene.initial_motion())[0][2, 2]
+    with pytest.warns(timo_sim.ModelWarning, match='spring of motions within coulomb_presliding'):
+        found = timo_sim.modes(scene)
+    assert found.omega == pytest.approx([np.sqrt(20.0 / inertia)], rel=1e-9)
+    assert found.poles == pytest.approx(timo_sim.linearize(scene).poles()[1:], rel=1e-9)

@@ -113,6 +113,58 @@ def test_measured_values_take_the_place_of_shape_and_material():
     assert uniform.omega == pytest.approx(varying.omega, rel=1e-9)
 
 
+BLADE = {'arm.length': 117.0, 'arm.section.bending_stiffness': 3e9,
+         'arm.section.mass_per_length': 500.0, 'arm.section.height': 2.0,
+         'end_effector.mass': 0.0, 'end_effector.inertia': 0.0, 'initial.shaft': 0.0,
+         'carrier.held': 'both', 'motor.shaft': 'locked', 'model.modes': 5,
+         'model.static_modes': 'none'}
+UNIFORM = {'arm.section.bending_stiffness': 0.0, 'arm.section.mass_per_length': 0.0,
+           'arm.profile.position': [0.0, 117.0], 'arm.profile.bending_stiffness': [3e9, 3e9],
+           'arm.profile.mass_per_length': [500.0, 500.0]}
+
+
+@pytest.mark.parametrize('profile', [{}, UNIFORM], ids=['uniform', 'profile'])
+@pytest.mark.filterwarnings('ignore::timo_sim.ModelWarning')
+def test_stiffness_and_mass_alone_are_a_beam_of_euler_and_bernoulli(profile):
+    """The limit: frequencies differ by `(beta l)^2 / 1e6` at most, deflections by 3e-6."""
+    scene = timo_sim.load_scene({**BLADE, **profile, 'load.tip_force_y.piecewise.time': [0.0],
+                                 'load.tip_force_y.piecewise.value': [1e3]})
+    wave = np.array([1.8751041, 4.6940911, 7.8547574, 10.9955407, 14.1371684])
+    expected = wave**2 * np.sqrt(3e9 / 500.0) / 117.0**2
+    assert timo_sim.modes(scene).omega == pytest.approx(expected, rel=wave[-1]**2 * 1e-6)
+    model = timo_sim.linearize(scene).select(['tip_force_y_N'], ['tip_y_m', 'root_strain'])
+    gains = model.frequency_response([0.0])[0, :, 0].real
+    assert gains == pytest.approx([117.0**3 / 3.0 / 3e9, 117.0 / 3e9], rel=1e-5)
+    run = timo_sim.simulate(scene, 0.01)
+    assert run.stats['estimated_tip_error_m'] < 1e-5 and run.message.endswith(
+        'the arm has no shear deformation, no rotary inertia, no stretch, since its bending '
+        'stiffness and mass are measured and these are not')
+
+
+def test_what_is_measured_beside_them_counts():
+    """Beside the shear stiffness a blade sags by `F l / (kappa G A)` more."""
+    shear = {'arm.section.shear_stiffness': 1e6, 'arm.section.axial_stiffness': 2e9,
+             'arm.section.rotary_inertia': 50.0}
+    with pytest.warns(timo_sim.ModelWarning, match='a length of 117 m'):
+        scene = timo_sim.load_scene({**BLADE, **shear, 'model.axial_modes': 1})
+    assert not scene.left_out and scene.manipulator.arm.stretches
+    gain = timo_sim.linearize(scene).select(['tip_force_y_N'], ['tip_y_m']).frequency_response(
+        [0.0])[0, 0, 0]
+    assert gain == pytest.approx(117.0**3 / 9e9 + 117.0 / 1e6, rel=1e-6)
+
+
+@pytest.mark.parametrize('values, message', [
+    ({'arm.section.mass_per_length': 0.0},
+     'arm.section.mass_per_length must be > 0 with arm.section.bending_stiffness = 3e.09'),
+    ({'arm.section.bending_stiffness': 0.0},
+     'arm.section.bending_stiffness must be > 0 with arm.section.mass_per_length = 500'),
+    ({'model.axial_modes': 1}, 'model.axial_modes must be 0 where .*axial_stiffness is not')])
+@pytest.mark.filterwarnings('ignore::timo_sim.ModelWarning')
+def test_half_a_measured_section_is_refused(values, message):
+    with pytest.raises(timo_sim.ParameterError, match=message):
+        timo_sim.load_scene({**BLADE, **values})
+
+
 def test_materials_and_what_is_given_beside_them(tmp_path):
     values = timo_sim.load_scene({}, {'arm': {'material': 'steel', 'density': 2710.0}}).values
     assert values['arm.young_modulus'] == 210e9 and values['arm.density'] == 2710.0

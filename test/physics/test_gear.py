@@ -3,11 +3,14 @@
 
 """An elastic gear: closed forms, an integrator that stops at contacts, limits, balances."""
 
+from click.testing import CliRunner
 import numpy as np
 import pytest
 from scipy.integrate import solve_ivp
+from scipy.linalg import eigh
 
 import timo_sim
+from timo_sim.cli import main
 
 STIFFNESS, ROTOR, TURNS = 50.0, 0.02, 10.0  # [N m/rad], [kg m2] at the shaft
 RIGID = {'model.modes': 0, 'carrier.held': 'both', 'arm.length': 0.4, 'arm.section.height': 0.01,
@@ -245,6 +248,64 @@ def test_rest_under_a_load_twists_the_gear():
     twist = model.rotor[3] * motion[3]
     assert twist == pytest.approx(0.01 + 0.5 * weight / STIFFNESS, abs=1e-9)
     assert model.gear_torque(motion[np.newaxis]) == pytest.approx([0.5 * weight], rel=1e-9)
+
+
+PLAY = {**RIGID, **GEAR, 'motor.gear.backlash': 0.02, 'motor.mass': 1.0, 'carrier.mass': 1.0}
+
+
+@pytest.mark.parametrize('sign', [1.0, -1.0])
+def test_linear_models_are_in_contact_where_the_equilibrium_loads_the_gear(sign):
+    """Two bodies on springs, of the gear and of gravity at the arm; gains at rest add up."""
+    scene = timo_sim.load_scene({**PLAY, 'gravity': [0.0, -9.81]})
+    weight = 9.81 * scene.build().points.lever @ scene.build().point_mass
+    held = scene.vary({'load.torque.piecewise.time': [0.0], 'initial.equilibrium': True,
+                       'load.torque.piecewise.value': [sign * 0.5 * weight],
+                       'initial.shaft': sign * 0.3 - 0.5 * np.pi})
+    pull = 9.81 * np.sqrt(0.75) * weight / 9.81  # spring of gravity at half of the largest torque
+    stiffness = [[STIFFNESS + pull, -STIFFNESS], [-STIFFNESS, STIFFNESS]]
+    squares = eigh(stiffness, np.diag([inertia_of(scene), ROTOR]), eigvals_only=True)
+    assert timo_sim.modes(held).omega == pytest.approx(np.sqrt(squares), rel=1e-6)
+    linear = timo_sim.linearize(held).select(['torque_N_m'], ['rotor_rad', 'shaft_rad'])
+    gains = linear.frequency_response([0.0])[0, :, 0].real
+    assert gains == pytest.approx([1.0 / pull + 1.0 / STIFFNESS, 1.0 / pull], rel=1e-6)
+    assert np.array_equal(linear.equilibrium, held.initial_motion())
+    assert timo_sim.modes(held, contact='closed').omega == pytest.approx(np.sqrt(squares))
+    with pytest.raises(timo_sim.ParameterError, match='closed where the gear is loaded, by'):
+        timo_sim.linearize(held, contact='open')
+
+
+def test_linear_models_of_a_gear_that_nothing_loads_need_its_contact():
+    scene = timo_sim.load_scene({**PLAY, 'motor.gear.damping': 0.05})
+    for model in timo_sim.linearize, timo_sim.modes, timo_sim.shaper:
+        with pytest.raises(timo_sim.ParameterError, match='closed or open with motor.gear.backl'):
+            model(scene)
+    reduced = 1.0 / (1.0 / ROTOR + 1.0 / inertia_of(scene))
+    omega = np.sqrt(STIFFNESS / reduced)
+    assert timo_sim.modes(scene, contact='closed').omega == pytest.approx([omega], rel=1e-7)
+    period = timo_sim.shaper(scene, 'ZVD', contact='closed').times[-1]
+    assert period == pytest.approx(2.0 * np.pi / omega, rel=1e-2)
+    assert not len(timo_sim.modes(scene, contact='open').omega)
+    apart = timo_sim.linearize(scene, contact='open').select(outputs=['rotor_rad', 'shaft_rad'])
+    assert apart.select(['torque_N_m']).frequency_response([3.0])[0, :, 0] == pytest.approx(
+        [-1.0 / (ROTOR * (6.0 * np.pi)**2), 0.0], rel=1e-7, abs=1e-15)
+    with pytest.raises(timo_sim.ParameterError, match='gear has no backlash, got open'):
+        timo_sim.linearize(scene.vary({'motor.gear.backlash': 0.0}), contact='open')
+    with pytest.raises(timo_sim.ParameterError, match='contact must be one of , closed, open'):
+        timo_sim.linearize(scene, contact='shut')
+    with pytest.raises(timo_sim.ParameterError, match='goal must be in reach'):
+        timo_sim.feedforward(apart.select(['torque_N_m']).to_discrete(0.01), {'shaft_rad': 0.5}, 1)
+
+
+def test_the_command_line_names_the_contact_of_a_gear(tmp_path):
+    scene = tmp_path / 'scene.yaml'
+    lines = [f'{name}: {value}' for name, value in PLAY.items()]
+    scene.write_text('timo_sim: {ros__parameters: {' + ', '.join(lines) + '}}')
+    for command in ['modes', str(scene)], ['bode', str(scene), '-o', str(tmp_path / 'bode.png')]:
+        refused = CliRunner().invoke(main, command)
+        assert refused.exit_code == 2 and 'contact must be closed or open' in refused.output
+        given = CliRunner().invoke(main, [*command, '--contact', 'closed',
+                                          *(command[0] == 'bode') * ['--response', 'shaft_rad']])
+        assert given.exit_code == 0, given.output
 
 
 def test_sensors_and_the_linear_model_know_rotor_and_gear():

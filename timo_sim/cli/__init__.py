@@ -117,6 +117,11 @@ def _require(**wanted):
             import_module(package)
 
 
+_CONTACT = click.option(
+    '--contact', default='', metavar='closed|open',
+    help='Of a gear with backlash that nothing loads at rest: as if it had none, or within it.')
+
+
 def _draw(figure, path):
     from timo_sim.view.plot import write
     write(figure, path)
@@ -134,7 +139,9 @@ def _draw(figure, path):
                    'tip_acceleration_m_per_s2, ...; a wrong name lists them all.')
 @click.option('--output', '-o', 'picture', type=_FILE, default='bode.png', show_default=True,
               help='Picture to write: PNG, PDF or SVG.')
-def bode(scene: Scene, cause: str, effects: tuple[str, ...], picture: str) -> None:
+@_CONTACT
+def bode(scene: Scene, cause: str, effects: tuple[str, ...], picture: str,
+         contact: str) -> None:
     r"""
     Draw the Bode diagram of SCENE, a file or a name, about its initial state.
 
@@ -143,7 +150,7 @@ def bode(scene: Scene, cause: str, effects: tuple[str, ...], picture: str) -> No
     """
     from timo_sim.runs.linear import linearize
     from timo_sim.view.plot import bode
-    _draw(bode(linearize(scene).select([cause], effects)), picture)
+    _draw(bode(linearize(scene, contact=contact).select([cause], effects)), picture)
 
 
 @main.command()
@@ -246,8 +253,9 @@ def info(file: str) -> None:
     'Speeds at which the shaft is turned steadily, with the carrier held.'))
 @click.option('--png', type=_FILE, metavar='OUT.png',
               help='Picture to write: shapes; with --speed the Campbell diagram.')
+@_CONTACT
 def modes(scene: Scene, more: tuple[float, ...], speed: tuple[float, ...],
-          png: str | None) -> None:
+          png: str | None, contact: str) -> None:
     r"""
     Print frequencies and damping ratios of SCENE, a file or a name, about rest or at shaft speeds.
 
@@ -260,7 +268,7 @@ def modes(scene: Scene, more: tuple[float, ...], speed: tuple[float, ...],
     from timo_sim.runs.modes import modes
     _require(matplotlib=png)
     speeds = *speed, *more
-    found = {each: modes(scene, each) for each in speeds or (None, 0.0)}
+    found = {each: modes(scene, each, contact) for each in speeds or (None, 0.0)}
     names = {None: 'carrier and shaft as in the scene', 0.0: 'clamped arm'}
     for each, vibrations in found.items():
         click.echo(f'{names.get(each, f"shaft at {each} rad/s")}:\n{vibrations}')

@@ -56,13 +56,14 @@ class Shaper:
 
 
 def shaper(plant: SceneLike | list[complex] | np.ndarray, kind: str = 'ZVD', modes: int = 1,
-           tolerance: float = 0.05) -> Shaper:
+           tolerance: float = 0.05, contact: str = '') -> Shaper:
     """
     Return the Shaper that does not excite the slowest vibrations of a scene, or poles (T53).
 
     The plant is a scene that forces and torques move, with the number of its `modes`; or poles
     [1/s] with positive imaginary parts, complex, (n,), all of which count: those of a closed loop,
-    or `timo_sim.modes(scene, 0.0).poles[:1]` for a shaft that follows its angle exactly. ZV (zero
+    or `timo_sim.modes(scene, 0.0).poles[:1]` for a shaft that follows its angle exactly.
+    `contact` is that of a gear with backlash, as of `linearize`. ZV (zero
     vibration) makes a command longer by half a period of each mode. ZVD (zero vibration and
     derivative) and EI (extra insensitive), which leaves the tolerance (T54) at the mode, take a
     period and tolerate errors of the frequency, EI larger ones. Raises ParameterError if a pole
@@ -83,7 +84,7 @@ def shaper(plant: SceneLike | list[complex] | np.ndarray, kind: str = 'ZVD', mod
     if isinstance(plant, (list, np.ndarray)):
         poles = np.ravel(np.asarray(plant, dtype=complex))
     else:
-        poles = vibrations(plant).poles
+        poles = vibrations(plant, contact=contact).poles
         poles = poles[:Parameter('modes', 1, '', '', low=1, high=len(poles)).check(modes)]
     times, amplitudes = np.zeros(1), np.ones(1)
     for pole in poles:

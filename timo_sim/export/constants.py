@@ -135,11 +135,8 @@ def plant_of(simulator: Simulator) -> Packed:
 
 
 def _strains(model):
-    # Strain of the outer fibre at the root, which is linear, by moment, modes and their rates.
-    motions = np.zeros((model.size, model.size))
-    half, count, none = model.size // 2, len(model.modes), np.zeros(model.size)
-    motions[range(count), range(3, half)] = 1.0
-    motions[range(count, 2 * count), range(half + 3, model.size)] = 1.0
-    by_motion = model.strain(motions, 0.0, none)
-    by_moment = model.strain(np.zeros((1, model.size)), 0.0, np.ones(1))
-    return by_moment[0], by_motion[:count], by_motion[count:2 * count]
+    # Strain of the outer fibre at the root, linear in moment, axial force and modal rates.
+    half, none = model.size // 2, np.zeros(1)
+    still, one = np.zeros((1, model.size)), np.ones(1)
+    by_rates = model.strain(np.eye(model.size)[half + 3:], 0.0, none)
+    return (model.strain(still, 0.0, one)[0], model.strain(still, 0.0, none, one)[0], by_rates)

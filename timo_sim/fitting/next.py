@@ -13,7 +13,7 @@ from timo_sim.fitting.problem import Problem
 from timo_sim.fitting.record import Channel, DRIVE, Record
 from timo_sim.fitting.search import Search
 from timo_sim.model.layout import INPUTS
-from timo_sim.runs.modes import modes
+from timo_sim.runs.modes import frequencies_in_motion
 from timo_sim.scene.parameters import Parameter, ParameterError
 from timo_sim.scene.scene import Scene
 
@@ -79,7 +79,7 @@ def _deviations(information):
 
 def _signals(t, limit, scene):
     """Return signals within a limit, (n,), by kind."""
-    duration, frequencies = t[-1], [*modes(scene).frequency[:2]] or [5.0 / t[-1]]
+    duration, frequencies = t[-1], [*frequencies_in_motion(scene)[:2]] or [5.0 / t[-1]]
     high = min(_BAND[1] * frequencies[-1], 0.25 / (t[1] - t[0]))
     low = min(max(_BAND[0] * frequencies[0], 1.0 / duration), high)
     lines = np.arange(round(low * duration), round(high * duration) + 1) / duration

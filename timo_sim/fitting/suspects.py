@@ -24,7 +24,7 @@ from scipy.signal import bilinear, lfilter
 from timo_sim.fitting.problem import DIVERGED, is_within, limit_inputs, WHITE, whiteness
 from timo_sim.fitting.search import Search
 from timo_sim.model.layout import INPUTS
-from timo_sim.runs.modes import modes
+from timo_sim.runs.modes import frequencies_in_motion
 from timo_sim.scene.parameters import ParameterError, PARAMETERS
 
 _FRICTION = 0.01, 0.1, 1.0  # sizes that are tried, of the force that accelerates the free body
@@ -296,7 +296,7 @@ def _resonances(search, size):
     """Yield frequencies beside those of the model, and columns, (size,), of such a resonance."""
     problem = search.problems[0]
     try:
-        own = modes(problem.scene_of(search.values(search.x, 0))).frequency
+        own = frequencies_in_motion(problem.scene_of(search.values(search.x, 0)))
     except ParameterError:  # as where more modes need shorter steps
         return
     highest = 0.2 / problem.record.period

@@ -21,7 +21,8 @@ class Section:
     """
     A cross-section of the arm, or arrays of them: a shape of a material, or measured values.
 
-    Measured values take the place of those of shape and material; 0 stands for none. Sources:
+    Measured values take the place of those of shape and material; 0 stands for none, an infinite
+    axial stiffness for one that is not known. Sources:
     paper, section 2.1 and Table 1; shear coefficients of G. R. Cowper, J. Appl. Mech. 33 (1966)
     335-340, those of box and I for thin walls.
     """
@@ -148,6 +149,11 @@ class Beam:
     def uniform(self) -> bool:
         """Whether the section is the same all along the arm."""
         return not self.positions
+
+    @property
+    def stretches(self) -> bool:
+        """Whether its axial stiffness is known."""
+        return bool(np.isfinite(self.section.measured_axial_stiffness).all())
 
     @property
     def breaks(self) -> np.ndarray:

@@ -325,26 +325,27 @@ class Formulation(ABC):
         """Return section rotations from the shaft, shape (n, p) [rad]. Source: paper eq. (36)."""
         return q @ points.rotation
 
-    def strain(self, motions: np.ndarray, xi: float,
-               moment: np.ndarray | None = None) -> np.ndarray:
+    def strain(self, motions: np.ndarray, xi: float, moment: np.ndarray | None = None,
+               tension: np.ndarray | float = 0.0) -> np.ndarray:
         """
         Return the strain of the outer fibre of a section, axial strain included, shape (n,).
 
         `xi` is its distance from the root along the undeformed arm [m]. The strain follows from
-        the bending moment there, that of modal damping included, shape (n,) [N m]; or from the
-        curvature of the modes, which converges more slowly with their number.
+        the bending moment [N m] and the axial force [N] there, those of modal damping included,
+        shape (n,); or from the strains of the modes, which converge more slowly with their number.
+        An arm without axial modes has no axial strain.
         """
         place, modes, (q, qdot) = np.array([xi]), self.modes, self._split(motions)
         section = self.manipulator.arm.at(place)
-        height, stiffness = (np.ravel(value)[0] for value in (
-            section.height, section.bending_stiffness))
-        curvature = modes.curvature(place)[0]
-        stretch = modes.stretch(place)[0] if self.axial else np.zeros(len(modes))
+        height, stiffness, axial_stiffness = (np.ravel(value)[0] for value in (
+            section.height, section.bending_stiffness, section.axial_stiffness))
+        strains = 0.5 * height * modes.curvature(place)[0] + modes.stretch(place)[0]
         if moment is None:
-            return q @ (0.5 * height * curvature) + q @ stretch
-        # Modal damping adds to the moment, but not to the strain, so its moment is subtracted.
-        damped = -0.5 * height * curvature * 2.0 * self.damping / modes.omega
-        return 0.5 * height / stiffness * moment + q @ stretch + qdot @ damped
+            return q @ strains
+        # Modal damping adds to moment and axial force, but not to the strain.
+        found = 0.5 * height / stiffness * moment - qdot @ (
+            strains * 2.0 * self.damping / modes.omega)
+        return found + tension / axial_stiffness if self.axial else found
 
     def world(self, motions: np.ndarray, points: Points) -> np.ndarray:
         """Return the world positions of points of the centre line, shape (n, p, 2) [m]."""

@@ -16,11 +16,11 @@ from numpy.typing import ArrayLike
 from timo_sim.extras import optional
 from timo_sim.model.formulation import Formulation
 from timo_sim.model.layout import (
-    ANGLE, INPUTS, LOADS, Motion, rotate, TIP_TORQUE, TIP_X, TIP_Y, TORQUE, VOLTAGE)
-from timo_sim.model.modes import compliance
+    ANGLE, INPUTS, LOADS, Motion, PUSH_X, PUSH_Y, rotate, TIP_TORQUE, TIP_X, TIP_Y, TORQUE,
+    VOLTAGE)
 from timo_sim.scene.loads import CHANNELS
 from timo_sim.scene.parameters import did_you_mean, Parameter, ParameterError, warn
-from timo_sim.scene.scene import load_scene, motor_constants, SceneLike
+from timo_sim.scene.scene import load_scene, motor_constants, Scene, SceneLike
 from timo_sim.simulation.snapshot import Joints
 from timo_sim.steps.bristles import COLUMNS
 from timo_sim.topics.outputs import SENSORS
@@ -158,14 +158,19 @@ _STENCIL = ((-2, 1.0 / 12.0), (-1, -2.0 / 3.0), (1, 2.0 / 3.0), (2, -1.0 / 12.0)
 _INPUTS = [*CHANNELS.values(), VOLTAGE]  # columns of a load
 # Largest rate of a state that counts as an equilibrium [1/s].
 _MAX_RATE = 1e-9
+_ROUND_OFF = 1e-12  # of matrices, relative to what cancels in them
+_CONTACT = Parameter('contact', '', '', '', choices=('', 'closed', 'open'))
+_UNLOADED = 1e-9  # torque of a gear that is not loaded, relative to stiffness times backlash
+_LEFT_OUT = 0.02  # largest share of a static response that rates may lack without a warning
 
 
-def linearize(scene: SceneLike, at: np.ndarray | None = None) -> LinearModel:
+def linearize(scene: SceneLike, at: np.ndarray | None = None, contact: str = '') -> LinearModel:
     """
     Return the linear model of a scene about a state of rest, without dry friction that sticks.
 
     Friction that builds up over a speed is viscous about rest: its limit over that speed. With
-    presliding it is a spring: its limit over that way. States
+    presliding it is a spring: its limit over that way. A gear with backlash is in contact where
+    the equilibrium loads it; elsewhere `contact` chooses. States
     are free coordinates, then their rates. Inputs are forces on carrier, tip and arm in world
     axes, torques on shaft and tip, the voltage at a DC motor; without those that have no effect.
     Outputs are carrier and shaft, tip in world axes, deflection and rotation of the tip, its angle
@@ -180,17 +185,21 @@ def linearize(scene: SceneLike, at: np.ndarray | None = None) -> LinearModel:
         A motion, see `model.layout`; by default the scene's initial one. A shaft that is
         driven or locked stays where it is. The scene's loads of t = 0 act with
         `initial.equilibrium`, otherwise none.
+    contact : str
+        Of a gear with backlash that the equilibrium does not load: 'closed', as if it had no
+        backlash, or 'open', for motions within it.
 
     Raises
     ------
     ParameterError
-        If the motion is no equilibrium.
+        If the motion is no equilibrium, or the gear's contact is not known.
 
     Warns
     -----
     ModelWarning
         If friction builds up over a speed or a way, since the model holds for smaller motions
-        alone.
+        alone; if rates and accelerations of the tip lack more than 2 % of a static response that
+        its place has.
 
     Examples
     --------
@@ -217,17 +226,11 @@ def linearize(scene: SceneLike, at: np.ndarray | None = None) -> LinearModel:
             'a scene is linearised about an equilibrium, where nothing moves; got speeds of up to '
             f'{np.abs(moving).max():.3g} and rates of the state of up to {rate.max():.3g}: set '
             'initial.equilibrium, or give another motion as `at`')
-    # By columns x, y, shaft, and rotor.
-    steep = np.array(formulation.manipulator.coulomb)[[0, 0, 1, 2], 0] > 0.0
-    free = [*(k in formulation.axes for k in (0, 1)), not formulation.driven,
-            bool(formulation.gear)]
-    if (steep & free).any():
-        warn('the linear model has the viscous friction of speeds well below coulomb_speed: for '
-             'faster motions linearise without Coulomb friction')
-    if scene.bristles.any():
-        warn('the linear model has the spring of motions within coulomb_presliding: for larger '
-             'motions linearise without Coulomb friction')
-    a, to_state, places = state_matrix(formulation, at, load)
+    equilibrium = at
+    formulation, at = in_contact(scene, formulation, at, contact)
+    state = formulation.state(at)
+    warn_of_friction(scene, formulation)
+    a, to_state, places = state_matrix(formulation, at, load, scene.bristles)
 
     # A rate is linear in a load. That of a voltage is the torque of the motor.
     units = {INPUTS[column].column: np.eye(LOADS)[column] for column in _INPUTS}
@@ -235,40 +238,110 @@ def linearize(scene: SceneLike, at: np.ndarray | None = None) -> LinearModel:
     inputs = {name: formulation.rate(state, load + unit) - formulation.rate(state, load)
               for name, unit in units.items()}
     inputs = {name: per_load for name, per_load in inputs.items() if per_load.any()}
-    b = np.linalg.solve(to_state, np.reshape([*inputs.values()], (len(inputs), len(a))).T)
+    b = _solve(to_state, np.reshape([*inputs.values()], (len(inputs), len(a))).T)
 
     still = _outputs(formulation, at, load)
     c = _jacobian(formulation, lambda motion: _outputs(formulation, motion, load), at, places)
-    # They are linear in a load. What acts at the tip also bends the arm beyond its modes.
-    residual = _residual(formulation, at)
+    # They are linear in a load. What acts on the arm also bends it beyond its modes.
+    residual, lacking = _residual(formulation, at)
+    if found := [(share, effect, name) for name, unit in units.items() if name in inputs
+                 for effect, share in zip(_output_names(formulation), lacking @ unit)
+                 if share > _LEFT_OUT]:
+        share, effect, name = max(found)
+        warn(f'{effect} of the linear model lacks {100.0 * share:.0f} % of what a slow {name} '
+             "does to the arm, which the tip's place has: name the load in model.static_modes, or "
+             'take more model.modes')
     d = np.stack([_outputs(formulation, at, load + units[name]) - still + residual @ units[name]
                   for name in inputs], axis=-1)
-    # About rest bristles are springs at their joints.
-    turns = np.column_stack([formulation.driven_turns, np.eye(half)[2]])[places[:len(a) // 2]]
-    for column, turn, (forward, backward, reach) in zip(COLUMNS, turns.T, scene.bristles):
-        if reach:
-            unit, spring = np.eye(LOADS)[column], 0.5 * (forward + backward) / reach * turn
-            a[:, :len(turn)] -= np.outer(np.linalg.solve(to_state, formulation.rate(
-                state, load + unit) - formulation.rate(state, load)), spring)
-            c[:, :len(turn)] -= np.outer(
-                _outputs(formulation, at, load + unit) - still + residual @ unit, spring)
+    for unit, spring in _springs(formulation, scene.bristles, places):
+        c[:, :len(spring)] -= np.outer(
+            _outputs(formulation, at, load + unit) - still + residual @ unit, spring)
     return LinearModel(a, b, c, d, state_names(formulation), tuple(inputs),
-                       _output_names(formulation), at, places)
+                       _output_names(formulation), equilibrium, places)
 
 
-def state_matrix(model: Formulation, at: np.ndarray,
-                 load: np.ndarray) -> tuple[np.ndarray, np.ndarray, np.ndarray]:
+def in_contact(scene: Scene, model: Formulation, at: np.ndarray,
+               contact: str) -> tuple[Formulation, np.ndarray]:
+    """
+    Return the model for small motions about rest of a scene's gear, and the motion at rest in it.
+
+    Where the gear has backlash, the model of its contact has none, and the motion, (2 (3 + N),),
+    is moved by it. `contact` and errors are as of `linearize`.
+    """
+    contact, gear = _CONTACT.check(contact), model.gear
+    backlash = gear.backlash if gear else 0.0
+    torque = float(model.gear_torque(at[np.newaxis])[0]) if backlash else math.inf
+    loaded = abs(torque) > _UNLOADED * (gear.stiffness * backlash if gear else 0.0)
+    if loaded and contact == 'open':
+        raise ParameterError('contact must be closed where the gear '
+                             + (f'is loaded, by {torque:g} N m' if backlash else 'has no backlash')
+                             + ', got open')
+    if not loaded and not contact:
+        raise ParameterError(
+            f'contact must be closed or open with motor.gear.backlash = {backlash:g} rad and a '
+            'gear that nothing loads at rest, since it moves as if without backlash in large '
+            'motions, and not at all within it: name one, or load the gear by '
+            'initial.equilibrium and load.torque')
+    if not backlash:
+        return model, at
+    place, at = model.gear_place, at.copy()
+    play = 0.5 * backlash / model.rotor[place]
+    at[place] = 0.0 if contact == 'open' else at[place] - np.clip(at[place], -play, play)
+    if contact == 'open':
+        return model, at
+    body = replace(model.manipulator, gear=gear._replace(backlash=0.0))
+    return replace(scene, manipulator=body).build(), at
+
+
+def warn_of_friction(scene: Scene, model: Formulation) -> None:
+    """Warn of friction of which a linear model has the limit of small motions."""
+    # By columns x, y, shaft, and rotor.
+    steep = np.array(model.manipulator.coulomb)[[0, 0, 1, 2], 0] > 0.0
+    free = [*(k in model.axes for k in (0, 1)), not model.driven, bool(model.gear)]
+    if (steep & free).any():
+        warn('the linear model has the viscous friction of speeds well below coulomb_speed: for '
+             'faster motions linearise without Coulomb friction')
+    if scene.bristles.any():
+        warn('the linear model has the spring of motions within coulomb_presliding: for larger '
+             'motions linearise without Coulomb friction')
+
+
+def _springs(model, bristles, places):
+    """Yield springs of `Scene.bristles` about rest: unit of load, (LOADS,), and its row of A."""
+    half = model.size // 2
+    turns = np.column_stack([model.driven_turns, np.eye(half)[2]])[places[:len(places) // 2]]
+    for column, turn, (forward, backward, reach) in zip(COLUMNS, turns.T, bristles):
+        if reach:
+            yield np.eye(LOADS)[column], 0.5 * (forward + backward) / reach * turn
+
+
+def state_matrix(model: Formulation, at: np.ndarray, load: np.ndarray,
+                 bristles: np.ndarray) -> tuple[np.ndarray, np.ndarray, np.ndarray]:
     """
     Return A of `x' = A x` (T49) about a motion, (2 (3 + N),), in which no state changes.
 
-    `x` are the free coordinates and their rates. Also returns the derivatives of the state by
-    them, and their places in a motion; shapes (m, m), (m, m), (m,).
+    `x` are the free coordinates and their rates; `bristles` are those of the scene, which are
+    springs about rest. Also returns the derivatives of the state by them, and their places in a
+    motion; shapes (m, m), (m, m), (m,).
     """
     places = state_places(model)
     to_state = _jacobian(model, model.state, at, places)
     rest = _jacobian(model, lambda motion: model.rate(model.state(motion), load)
                      - model.linear @ model.state(motion), at, places)
-    return np.linalg.solve(to_state, model.linear @ to_state + rest), to_state, places
+    flow, state = model.linear @ to_state + rest, model.state(at)
+    flow[np.abs(flow) < _ROUND_OFF * (np.abs(model.linear) @ np.abs(to_state))] = 0.0
+    a = _solve(to_state, flow)
+    for unit, spring in _springs(model, bristles, places):
+        a[:, :len(spring)] -= np.outer(_solve(
+            to_state, model.rate(state, load + unit) - model.rate(state, load)), spring)
+    return a, to_state, places
+
+
+def _solve(to_state, rates):
+    # What is but round-off is 0, so that a rotor within its play moves nothing else.
+    found = np.linalg.solve(to_state, rates)
+    found[np.abs(found) < _ROUND_OFF * (np.abs(np.linalg.inv(to_state)) @ np.abs(rates))] = 0.0
+    return found
 
 
 def state_places(model: Formulation) -> np.ndarray:
@@ -340,24 +413,52 @@ def _residual(model, at):
     """
     Return the static response, (outputs, LOADS), of what modes leave out of the tip.
 
-    It is that of the straight arm in axes of the tip, see doc/theory.md, section 2.
+    It is that of the straight arm in axes of the tip and of the point that is pushed, see
+    doc/theory.md, section 2. What of it is in rates, which have no direct feedthrough, is
+    returned as a share of the whole response, of the same shape.
     """
-    body, modes, tip = model.manipulator, model.modes, model.tip_point
-    count = len(_output_names(model))
-    found = np.zeros((count, LOADS))
+    body, modes, tip, half = model.manipulator, model.modes, model.tip_point, len(at) // 2
+    names = _output_names(model)
+    found, lacking = np.zeros((2, len(names), LOADS))
     if len(modes) == model.axial + bool(model.gear):  # an arm without modes is rigid on purpose
-        return found
-    whole, seen = compliance(body, modes)
-    # Force and torque per load, and the tip's outputs per deflection and rotation.
-    angle = at[2] + at[3:len(at) // 2] @ tip.rotation[:, 0]
-    across = np.array([-np.sin(angle), np.cos(angle)])
-    loads, shifts = np.zeros((2, LOADS)), np.zeros((count, 2))
-    loads[0, [TIP_X, TIP_Y]], loads[1, TIP_TORQUE] = across, 1.0
-    along, sideways = model.centre_line(at[3:len(at) // 2], tip)[0]
-    shifts[3:7, 0] = *across, *rotate(-at[2], *across)
-    shifts[8, 0] = (along * shifts[6, 0] - sideways * shifts[5, 0]) / (along**2 + sideways**2)
-    shifts[7, 1] = 1.0
-    return shifts @ (whole - seen) @ loads
+        return found, lacking
+    length, q = body.arm.length, at[3:half]
+    pushed = model.push_point.xi[0] if model.push_point else length
+    rule = Quadrature(np.union1d(body.arm.breaks, pushed), 4 * len(modes) + 40)
+    section, xi = body.arm.at(rule.nodes), rule.nodes
+    # Moment, shear and axial force by forces across and along the tip, a torque on it, and forces
+    # across and along the point that is pushed.
+    none, inboard = np.zeros_like(xi), (xi < pushed).astype(float)
+    moment = np.stack([length - xi, none, none + 1.0, inboard * (pushed - xi), none])
+    shear = np.stack([none + 1.0, none, none, inboard, none])
+    axial = bool(model.axial) * np.stack([none, none + 1.0, none, none, inboard])
+    whole = sum(strain * rule.weights / stiffness @ strain.T for strain, stiffness in (
+        (moment, section.bending_stiffness), (shear, section.shear_stiffness),
+        (axial, section.axial_stiffness)))
+    ends, points = np.array([length, pushed]), [tip, model.push_point or tip]
+    across = modes.deflection(ends)
+    nodes = model.quadrature.nodes  # less than those of the integral, which has one in a hub
+    along = [each.integral[:len(nodes), 0] @ modes.stretch(nodes) for each in points]
+    shapes = np.stack([across[0], along[0], tip.rotation[:, 0], across[1], along[1]])
+    residual = whole - shapes / modes.omega**2 @ shapes.T
+    # Those loads per load; the tip's outputs per its deflection across and along, and rotation.
+    loads, shifts = np.zeros((5, LOADS)), np.zeros((len(names), 3))
+    turned = at[2] + modes.rotation(ends) @ q
+    for angle, rows, columns in zip(turned, ([0, 1], [3, 4]), ([TIP_X, TIP_Y], [PUSH_X, PUSH_Y])):
+        loads[np.ix_(rows, columns)] = [-np.sin(angle), np.cos(angle)], [np.cos(angle),
+                                                                         np.sin(angle)]
+    loads[2, TIP_TORQUE] = 1.0
+    directions = loads[:2, [TIP_X, TIP_Y]].T
+    shifts[3:7, :2] = *directions, *rotate(-at[2], *directions)
+    place = model.centre_line(q, tip)[0] - [body.hub_radius, 0.0]
+    shifts[8] = (place[0] * shifts[6] - place[1] * shifts[5]) / (place @ place)
+    shifts[7, 2] = 1.0
+    # The tip turns, and moves across itself.
+    for name, row in ('gyro_rad_per_s', 2), ('tip_acceleration_m_per_s2', 0):
+        response = np.abs(whole[row])
+        share = np.divide(np.abs(residual[row]), response, where=response > 0.0, out=np.zeros(5))
+        lacking[names.index(name)] = (share[:, np.newaxis] * (loads != 0.0)).max(axis=0)
+    return shifts @ residual[:3] @ loads, lacking
 
 
 def state_names(model: Formulation) -> tuple[str, ...]:

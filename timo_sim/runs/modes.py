@@ -17,9 +17,9 @@ from timo_sim.model.bodies import Constraints
 from timo_sim.model.formulation import Formulation, PointsOfArm
 from timo_sim.model.layout import ANGLE, LOADS, Motion, rotate, SPEED
 from timo_sim.model.statics import equilibrium
-from timo_sim.runs.linear import state_matrix
+from timo_sim.runs.linear import in_contact, state_matrix, warn_of_friction
 from timo_sim.scene.parameters import Parameter, ParameterError
-from timo_sim.scene.scene import load_scene, SceneLike
+from timo_sim.scene.scene import load_scene, Scene, SceneLike
 from timo_sim.simulation.finer import MORE_MODES, refine
 
 if TYPE_CHECKING:
@@ -90,7 +90,7 @@ class Vibrations(PointsOfArm):
     __repr__ = __str__
 
 
-def modes(scene: SceneLike, speed: float | None = None) -> Vibrations:
+def modes(scene: SceneLike, speed: float | None = None, contact: str = '') -> Vibrations:
     """
     Return the natural vibrations of a scene about rest, or of its arm at a speed of the shaft.
 
@@ -98,13 +98,20 @@ def modes(scene: SceneLike, speed: float | None = None) -> Vibrations:
     with `initial.equilibrium` where the scene starts, under its loads of t = 0, otherwise where it
     comes to rest under gravity. With a speed, the carrier is held and the shaft turns at exactly
     this speed: the vibrations are those of the clamped arm in the axes of the shaft, about its
-    steady rotation, or at speed 0 at the scene's initial angle. Dry friction is left out.
+    steady rotation, or at speed 0 at the scene's initial angle. Dry friction that sticks is left
+    out, that with presliding is a spring. `contact` is that of a gear with backlash, as of
+    `linearize`.
 
     Raises
     ------
     ParameterError
         If there is no such state, or the speed is not finite; if, at a speed other than 0, the
-        formulation is not `exact` or there is gravity.
+        formulation is not `exact` or there is gravity; if the gear's contact is not known.
+
+    Warns
+    -----
+    ModelWarning
+        If friction builds up over a speed or a way, as of `linearize`.
 
     Examples
     --------
@@ -130,11 +137,12 @@ def modes(scene: SceneLike, speed: float | None = None) -> Vibrations:
             'vibrations at a shaft speed need model.formulation = exact, since others lack '
             'centrifugal stiffening, and gravity = [0, 0], since it turns in the axes of the '
             f'arm; got {scene.values["model.formulation"]}, {list(scene.values["gravity"])}')
-    model, finer = (replace(each, constraints=constraints, manipulator=body).build() for each in (
+    own, finer = (replace(each, constraints=constraints, manipulator=body) for each in (
         refine(scene, 1, 0, 0, same_equations=True),
         refine(scene, 1, MORE_MODES, int(exact), same_equations=True)))
-    motion, poles, vectors = _about(model, start, load)
-    fine = np.abs(_about(finer, start, load)[1])
+    warn_of_friction(own, own.build())
+    model, motion, poles, vectors = _about(own, start, load, contact)
+    fine = np.abs(_about(finer, start, load, contact)[2])
     error = np.abs(fine / np.abs(poles)[:, np.newaxis] - 1.0).min(axis=1, initial=np.inf)
     found = Vibrations(model, Motion(motion), poles, vectors, error)
     moved = found.shapes(np.linspace(0.0, model.manipulator.arm.length, _POINTS))
@@ -143,8 +151,16 @@ def modes(scene: SceneLike, speed: float | None = None) -> Vibrations:
     return replace(found, vectors=vectors / np.take_along_axis(moved, largest, axis=1))
 
 
-def _about(model, start, load):
-    """Return a steady motion near a start with as many or less modes, vibrating poles, vectors."""
+def frequencies_in_motion(scene: Scene) -> np.ndarray:
+    """Return frequencies of motions that are large beside backlash and friction, (n,) [Hz]."""
+    frictionless = scene.vary({f'{body}.coulomb_friction': 0.0
+                               for body in ('carrier', 'motor', 'motor.rotor')})
+    return modes(frictionless, contact='closed').frequency
+
+
+def _about(scene, start, load, contact):
+    """Return model, steady motion near a start with as many or less modes, poles, vectors."""
+    model = scene.build()
     half = model.size // 2
     motion, known = np.zeros(model.size), min(len(start) // 2, half)
     motion[:3] = start[:3]
@@ -155,12 +171,13 @@ def _about(model, start, load):
         except ValueError as error:
             raise ParameterError(f'there must be a state of rest, but {error}') from None
     if not len(model.linear):  # rigid, and held
-        return motion, np.empty(0, complex), np.empty((0, half), complex)
-    a, _, places = state_matrix(model, motion, load)
+        return model, motion, np.empty(0, complex), np.empty((0, half), complex)
+    model, motion = in_contact(scene, model, motion, contact)
+    a, _, places = state_matrix(model, motion, load, scene.bristles)
     poles, found = np.linalg.eig(a)
     # Round-off splits the double poles of joints that are free.
     chosen = np.flatnonzero(poles.imag > 1e-3 + 1e-7 * np.abs(poles).max())
     chosen = chosen[np.abs(poles[chosen]).argsort()]
     vectors = np.zeros((len(chosen), half), complex)
     vectors[:, places[:len(places) // 2]] = found[:len(places) // 2, chosen].T
-    return motion, poles[chosen], vectors
+    return model, motion, poles[chosen], vectors

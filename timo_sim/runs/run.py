@@ -98,7 +98,8 @@ class Run(MotionFields, PointsOfArm):
         error = self.stats.get('estimated_tip_error_m', math.nan)
         if not math.isnan(error):
             found += f', the tip {error:.1g} m at most from that of a finer run'
-        return self.warning or f'{len(self.t)} samples until t = {self.t[-1]:.6g} s, {found}'
+        text = self.warning or f'{len(self.t)} samples until t = {self.t[-1]:.6g} s, {found}'
+        return '; '.join(filter(None, (text, self.scene.left_out)))
 
     def __repr__(self) -> str:
         return f'<Run: {self.message}; {self.scene!r}>'

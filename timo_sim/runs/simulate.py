@@ -91,9 +91,11 @@ def _remedy(run, parts, error):
                'more model.modes': (1, None, 0, True)}
     if not {*needed_static(run.scene)} <= {*run.scene.static}:
         changes = {'model.static_modes auto': (1, 0, 0, False), **changes}
-    if run.scene.values['model.formulation'] == 'exact':
+    exact, stretches = (run.scene.values['model.formulation'] == 'exact',
+                        run.scene.manipulator.arm.stretches)
+    if exact and stretches:
         changes['model.axial_modes 1'] = 1, 0, 1, True
-    else:
+    elif not exact:
         changes['model.formulation exact'] = 1, 0, 0, False
     moved = {}
     for text, change in changes.items():
@@ -214,8 +216,8 @@ def _run_trial(scene, modes, step, duration):
 
 
 def _stretch_warning(run, goal):
-    if (run.scene.values['model.formulation'] != 'exact'
-            or run.scene.values['model.axial_modes']):
+    if (run.scene.values['model.formulation'] != 'exact' or run.scene.values['model.axial_modes']
+            or not run.scene.manipulator.arm.stretches):
         return None
     # An arm that stretches may need shorter steps than one that does not.
     stretched = (_run_alike(refine(run.scene, parts, 0, 1, True), run) for parts in (1, 4))

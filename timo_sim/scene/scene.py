@@ -92,6 +92,15 @@ class Scene:
         return modal_count(self.values) + len(self.static)
 
     @property
+    def left_out(self) -> str:
+        """What of the arm is left out, since its stiffness was measured without it; or ''."""
+        names = [meaning for name, meaning in _NOT_MEASURED.items()
+                 if _is_measured(self.values, 'bending_stiffness')
+                 and not _is_measured(self.values, name)]
+        return bool(names) * (f'the arm has no {", no ".join(names)}, since its bending stiffness '
+                              'and mass are measured and these are not')
+
+    @property
     def outputs(self) -> list[Output]:
         """The topics that carry its motion."""
         return outputs(self.modal_count, self.manipulator.gear is not None)
@@ -534,6 +543,7 @@ def _arm(values):
     section = {field: values[name] for field, name, _ in _SECTION}
     profiles = {field: values[profile] for field, _, profile in _SECTION if values.get(profile)}
     length, positions = values['arm.length'], values['arm.profile.position']
+    _leave_out(values, section, profiles)
     if not positions and not profiles:
         _check_section(values)
         return Beam(length, Section(**section))
@@ -545,6 +555,43 @@ def _arm(values):
         profile: values[profile] for _, _, profile in _SECTION if values.get(profile)}})
     _check_section(values)
     return Beam(length, Section(**{**section, **profiles}), positions)
+
+
+# What bending stiffness and mass per length may be measured without; numbers that stand for its
+# limit: shear stiffness over bending stiffness, rotary inertia over mass, in lengths of the arm.
+_NOT_MEASURED = {'shear_stiffness': 'shear deformation', 'rotary_inertia': 'rotary inertia',
+                 'axial_stiffness': 'stretch'}
+_STIFF_IN_SHEAR, _WITHOUT_INERTIA = 1e6, 1e-12
+
+
+def _is_measured(values, name):
+    return bool(values.get(f'arm.profile.{name}') or values[f'arm.section.{name}'])
+
+
+def _leave_out(values, section, profiles):
+    # Shape and material do not belong to a section whose stiffness is measured.
+    mass, bending = 'mass_per_length', 'bending_stiffness'
+    for name, other in (mass, bending), (bending, mass):
+        if _is_measured(values, name) and not _is_measured(values, other):
+            raise ParameterError(f'arm.section.{other} must be > 0 with arm.section.{name} = '
+                                 f'{_each(values, name)[0]:g}, since shape and material do not '
+                                 f'belong to a measured section; got 0')
+    if not _is_measured(values, bending):
+        return
+    if values['model.axial_modes'] and not _is_measured(values, 'axial_stiffness'):
+        raise ParameterError('model.axial_modes must be 0 where arm.section.bending_stiffness is '
+                             'measured and arm.section.axial_stiffness is not, got '
+                             f'{values["model.axial_modes"]}')
+    if not _is_measured(values, 'axial_stiffness'):
+        section['measured_axial_stiffness'] = math.inf
+    square = values['arm.length']**2
+    for name, known, factor in (('shear_stiffness', bending, _STIFF_IN_SHEAR / square),
+                                ('rotary_inertia', mass, _WITHOUT_INERTIA * square)):
+        if not _is_measured(values, name):
+            if source := profiles.get(f'measured_{known}'):
+                profiles[f'measured_{name}'] = tuple(factor * value for value in source)
+            else:
+                section[f'measured_{name}'] = factor * section[f'measured_{known}']
 
 
 def _each(values, name):

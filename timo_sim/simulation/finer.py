@@ -57,6 +57,8 @@ def refine(scene: Scene, parts: int, modes: int | None = None, axial: int = MORE
         modes = min(times * bending + MORE_MODES, _MOST_MODES) - bending
     if not bending:
         modes = axial = 0  # a rigid arm stays rigid
+    if not scene.manipulator.arm.stretches:
+        axial = 0
     own, shapes = len(scene.static), len(static)
     lists: dict[str, Any] = {}
     initial = {name: scene.modal(name) for name in _LISTS if any(values[name])}
@@ -108,7 +110,8 @@ def choose_parts(scene: Scene) -> tuple[int, ...]:
 
 def _resolves(scene, step):
     # Whether steps see the loads, and axial vibrations if the arm stretches or picks up loads.
-    axial = scene.values['model.axial_modes'] or scene.payloads and scene.values['model.modes']
+    axial = scene.values['model.axial_modes'] or (
+        scene.payloads and scene.values['model.modes'] and scene.manipulator.arm.stretches)
     return unseen_load(replace(scene, step=step)) is None and not (
         axial and _axial_phase(scene, step) > _AXIAL_PHASE)
 

@@ -72,16 +72,20 @@ class Joints:
             torque = self._applied[:, 2] - model.friction(self.motions)[:, 2]
         moment = model.manipulator.shaft_inertia * self._accelerations[:, 2] - torque
         if radius := model.manipulator.hub_radius:
-            # The force of the arm on the hub is what the carrier's own balance lacks.
-            x, y = (model.manipulator.base_mass * (self._accelerations[:, :2] - model.gravity)
-                    - self._needed[:, :2]).T
-            moment = moment - radius * rotate(-self.motions[:, 2], x, y)[1]
+            moment = moment - radius * self._root_forces[1]
         return moment
+
+    @property
+    def _root_forces(self):
+        # Axial and shear force P(0), V(0) [N], (n,) each: what the carrier's own balance lacks.
+        x, y = (self.model.manipulator.base_mass * (
+            self._accelerations[:, :2] - self.model.gravity) - self._needed[:, :2]).T
+        return rotate(-self.motions[:, 2], x, y)
 
     @property
     def root_strain(self) -> np.ndarray:
         """Strain of the outer fibre at the root, axial strain included, shape (n,)."""
-        return self.model.strain(self.motions, 0.0, self.root_moment)
+        return self.model.strain(self.motions, 0.0, self.root_moment, self._root_forces[0])
 
     @property
     def tip_acceleration(self) -> np.ndarray:

@@ -79,7 +79,9 @@ def inaccurate(scene: Scene, error: float, remedy: str | None = None) -> str | N
     if error <= MOST_APART * scene.manipulator.arm.length:
         return None
     if remedy is None:
-        remedy = 'a smaller integrator.step, more model.modes or model.axial_modes 1'
+        remedy = 'a smaller integrator.step, more model.modes'
+        if scene.manipulator.arm.stretches:
+            remedy += ' or model.axial_modes 1'
         if scene.values['model.formulation'] != 'exact':
             remedy = f'model.formulation exact, {remedy}'
     return f'the tip is {error:.1g} m from that of a finer run: take {remedy}'

@@ -90,9 +90,9 @@ class Plant(NamedTuple):
     shaft_friction: Annotated[np.ndarray, 4]
     # What accelerations of all coordinates need of torque at the rotor of an elastic gear.
     rotor: Annotated[np.ndarray, 'gears', 'accelerations']
-    # Strain of the outer fibre at the root per moment there, modal coordinate and modal rate.
+    # Strain of the outer fibre at the root per moment and axial force there, and per modal rate.
     strain_of_moment: float
-    strain_of_modes: Annotated[np.ndarray, 'modes']
+    strain_of_force: float  # 0 if the arm does not stretch
     strain_of_rates: Annotated[np.ndarray, 'modes']
     start: Annotated[np.ndarray, 'state']  # the initial state
     first_load: Annotated[np.ndarray, LOADS]  # the scene's own at its beginning
@@ -276,14 +276,13 @@ def set_forces(tables, plant, instance):
     for joint in range(3):
         if plant.constrained[joint] != 0:
             out[16 + joint] = needed[joint] - out[16 + joint]
-    if plant.hub_radius != 0.0:  # less the moment of the shear force at the root
-        x = plant.base_mass * accelerations[0] - needed[0]
-        y = plant.base_mass * accelerations[1] - needed[1]
-        root -= plant.hub_radius * (cosine * y - sine * x)
-    out[15] = plant.strain_of_moment * root
+    # Axial force at the root along (x, y); the moment there is less by that of the shear force.
+    x = plant.base_mass * accelerations[0] - needed[0]
+    y = plant.base_mass * accelerations[1] - needed[1]
+    root -= plant.hub_radius * (cosine * y - sine * x)
+    out[15] = plant.strain_of_moment * root + plant.strain_of_force * (cosine * x + sine * y)
     for n in range(len(plant.travel)):
-        out[15] += (plant.strain_of_modes[n] * motion[3 + n]
-                    + plant.strain_of_rates[n] * motion[half + 3 + n])
+        out[15] += plant.strain_of_rates[n] * motion[half + 3 + n]
     out[19] = energy(tables, motion, plant.gravity)
     instance.mark[KNOWN] = 2
     return _OK
