@@ -86,7 +86,7 @@ class Recording:
         Steps at which the motion was reset.
     changes : list of tuple
         (step, resets before it in the file, values by name) of each setting of the scene's
-        parameters, or of the motion of the carrier, see `Simulator.set_carrier`.
+        parameters.
     unread : dict of str
         By topic of the node, why its messages are not read.
     of_scene : ndarray of int or None

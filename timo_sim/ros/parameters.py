@@ -86,11 +86,6 @@ class ParameterNode(Node):
 
         self.add_on_set_parameters_callback(callback)
 
-    def redeclare(self, values: dict[str, Any]) -> None:
-        """Set all parameters, also those that are read-only, without a call of `apply`."""
-        for name in PARAMETERS:  # rclpy has no public way to set what others cannot
-            self._parameters[name] = _of_rclpy(name, values[name])
-
     def create_publisher(self, msg_type: Any, topic: str, *arguments: Any,
                          **options: Any) -> Publisher:
         """Create a publisher with the QoS that parameters give it."""

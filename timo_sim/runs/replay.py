@@ -25,7 +25,7 @@ from timo_sim.scene.files import read_parameter_file
 from timo_sim.scene.parameters import (
     check, DEFAULTS, frame_names, LATEST, Parameter, ParameterError, steps_in, whole_ratio)
 from timo_sim.scene.scene import Scene, scene_from
-from timo_sim.simulation.simulator import CARRIER, Simulator
+from timo_sim.simulation.simulator import Simulator
 from timo_sim.simulation.warnings import DivergenceError
 from timo_sim.topics.cdr import pack
 from timo_sim.topics.commands import (
@@ -370,10 +370,7 @@ class Replay:
                 following = min(following, steps[place])
             while changes[next_change][0] <= step:
                 _, values = changes[next_change]
-                if CARRIER.name in values:
-                    simulator.set_carrier(values[CARRIER.name])
-                else:
-                    simulator.change(simulator.scene.vary(values))
+                simulator.change(simulator.scene.vary(values))
                 if self._log:
                     self._log.note(CHANGE, change_note(step, values))
                 next_change += 1

@@ -34,7 +34,6 @@ from timo_sim.steps.steps import CHUNK, Samples
 
 # Deflection beyond which the run counts as diverged, in arm lengths.
 MOST_BENT = 10.0
-CARRIER = Parameter('carrier', (), '', 'position [m] and velocity [m/s] along world x and y')
 COUNT = Parameter('count', 1, '', 'number of steps', low=0)
 SAMPLE_EVERY = Parameter('sample_every', 1, '', 'steps between samples, 0: none', low=0)
 _MOST_BEHIND = 256  # most calls of `advance` that the finer run may be behind
@@ -320,29 +319,6 @@ class Simulator(PointsOfArm):
             raise ParameterError('set_motion needs a Simulator with estimate=False')
         with self._lock:
             self._state, self._resting = self.model.state(values), False
-
-    def set_carrier(self, carrier: Sequence[float]) -> None:
-        """
-        Go on with the carrier, and the arm that it carries, elsewhere and at another velocity.
-
-        `carrier` is position x, y [m], then velocity x, y [m/s], in world axes; shaft, deflection
-        and their rates stay. Logs note this as the setting `carrier`. Raises ParameterError if it
-        is not four finite numbers, or the carrier is held along an axis and would move.
-        """
-        values = CARRIER.check(carrier)
-        if len(values) != 4:
-            raise ParameterError(f'carrier must be four numbers, got {short(carrier)}')
-        with self._lock:
-            self.measure_error()
-            for each in filter(None, (self, self._finer)):
-                motion, half = each.motion.values, each.model.size // 2
-                places = [0, 1, half, half + 1]
-                if (each.model.constrained[[0, 1, 0, 1]] & (motion[places] != values)).any():
-                    raise ParameterError(
-                        f'carrier = {short(values)} must stay {short(motion[places].tolist())} '
-                        f'along the axes of carrier.held = {self.scene.values["carrier.held"]}')
-                motion[places] = values
-                each._state, each._resting = each.model.state(motion), False
 
     def advance(self, count: int, commanded: np.ndarray | None = None,
                 sample_every: int = 0) -> tuple[np.ndarray, np.ndarray]:
