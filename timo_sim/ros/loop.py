@@ -12,7 +12,7 @@ import numpy as np
 
 from timo_sim.model.layout import LOADS
 from timo_sim.ros.topics import Commands, LateOutlet, RunLog
-from timo_sim.scene.parameters import whole_ratio
+from timo_sim.scene.parameters import MOST_STEPS, whole_ratio
 from timo_sim.simulation.simulator import Simulator
 from timo_sim.simulation.snapshot import Snapshot
 from timo_sim.simulation.warnings import DivergenceError
@@ -232,6 +232,8 @@ class Loop:
         self._refuse_diverged()
         if not self.paused:
             raise StateError('a step needs a paused simulation')
+        if count > MOST_STEPS:  # no other call is answered meanwhile
+            raise StateError(f'a call does at most {MOST_STEPS} steps, got {count}')
         self.check_subscribers()
         self.poll()
         goal = self.simulator.steps + count
