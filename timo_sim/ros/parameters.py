@@ -11,7 +11,7 @@ from typing import Any
 
 from rcl_interfaces.msg import (
     FloatingPointRange, IntegerRange, ParameterDescriptor, SetParametersResult)
-from rcl_interfaces.srv import SetParameters
+from rcl_interfaces.srv import SetParameters, SetParametersAtomically
 from rclpy.exceptions import ParameterNotDeclaredException
 from rclpy.node import Node
 from rclpy.parameter import Parameter
@@ -107,9 +107,9 @@ class ParameterNode(Node):
 
     def create_service(self, srv_type: Any, srv_name: str, callback: Callable,
                        **options: Any) -> Service:
-        """Offer a service; the callback of rclpy's own SetParameters service is replaced."""
-        if srv_type is SetParameters:
-            callback = self._set_each
+        """Offer a service; the callbacks of rclpy's own services that set are replaced."""
+        callback = {SetParameters: self._set_each, SetParametersAtomically: self._set_all}.get(
+            srv_type, callback)
         return super().create_service(srv_type, srv_name, callback, **options)
 
     def set_parameters_atomically(
@@ -119,7 +119,8 @@ class ParameterNode(Node):
             return super().set_parameters_atomically([*map(_converted, parameter_list)])
         except ParameterNotDeclaredException:
             names = [each.name for each in parameter_list if not self.has_parameter(each.name)]
-            return _refused(f'{", ".join(names)} is not declared; QoS is set only at the start')
+            return _refused(f'{short(", ".join(names), str)} is not declared; QoS is set only at '
+                            'the start')
         except ParameterError as error:
             return _refused(error)
 
@@ -128,12 +129,22 @@ class ParameterNode(Node):
         # two impacts of mass and inertia.
         together = {}
         for message in request.parameters:
-            together.setdefault(_group(message.name), []).append(
-                Parameter.from_parameter_msg(message))
-        results = {group: self.set_parameters_atomically(parameters)
-                   for group, parameters in together.items()}
+            together.setdefault(_group(message.name), []).append(message)
+        results = {group: self._set(messages) for group, messages in together.items()}
         response.results = [results[_group(message.name)] for message in request.parameters]
         return response
+
+    def _set_all(self, request, response):
+        response.result = self._set(request.parameters)
+        return response
+
+    def _set(self, messages):
+        # What rclpy cannot read would otherwise get no answer.
+        try:
+            parameters = [Parameter.from_parameter_msg(message) for message in messages]
+        except ValueError as error:
+            return _refused(f'a parameter cannot be read: {error}')
+        return self.set_parameters_atomically(parameters)
 
 
 def _check_qos(name, value):
