@@ -160,6 +160,17 @@ def test_a_bag_that_spans_two_runs_is_refused_with_the_place(tmp_path, default_s
             text) and text.count('\n') == 1
 
 
+@pytest.mark.parametrize('time, states', [  # log times of 0 and nearly 2^63 ns
+    (-1.7e9, []), (7.5e9, []), (7.5e9, [(0.01 * n, 10 * n, np.zeros(6)) for n in range(9)])])
+def test_a_log_time_that_cannot_be_is_one_line_not_all_memory(
+        time, states, tmp_path, default_scene):
+    path = bag_of_runs(tmp_path / 'bag', [(0.05, 1.0), (time, 2.0)], states)
+    options = 'replay', path, '--scene', default_scene, '-o', tmp_path / 'new.mcap'
+    text = call(*options, code=2)
+    assert ' lasts ' in text and 'give --duration' in text and text.count('\n') == 1
+    assert ' commands and ' in call(*options, '--duration', 0.1)
+
+
 @pytest.mark.parametrize('storage', ['db3', 'mcap.zstd'])
 def test_other_bags_are_called_what_they_are(bag, tmp_path, storage, default_scene):
     """The command that the message names makes a bag that is replayed."""

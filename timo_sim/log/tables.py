@@ -37,6 +37,7 @@ _AT_ONCE = 4096  # messages that are converted to arrays together
 _COMMANDS = {command.name: command for command in COMMANDS}
 _WRAP = 2**32  # sequence numbers are steps modulo this, or all 0 if a tool has not kept them
 _RESTART = 10**8  # [ns] by which stamps fall only if a simulator is started again
+_FAR = 2.0**61  # [ns] that a log time may be from the others before sim times overflow
 _RENAMED = {'~/tip_imu': '~/tip_imu/data_raw'}  # names of topics in 0.2.0
 _TYPES = {**{output.name: output.type_name for output in outputs(1)},
           **{command.name: command.type_name for command in COMMANDS}}
@@ -399,7 +400,7 @@ class Recording:
         pace = (sim[-1] - sim[0]) / max(1, logged[-1] - logged[0])
         inside = np.interp(log_ns - logged[0], logged - logged[0], (sim - sim[0]).astype(float))
         beyond = (log_ns - np.clip(log_ns, logged[0], logged[-1])) * pace
-        return sim[0] + np.rint(inside + beyond).astype(np.int64)
+        return sim[0] + np.rint(inside + np.clip(beyond, -_FAR, _FAR)).astype(np.int64)
 
     @cached_property
     def _clock(self):

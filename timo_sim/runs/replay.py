@@ -34,6 +34,7 @@ from timo_sim.topics.outputs import title, with_angles
 
 _ROUNDING = 1e-9  # relative error of times in steps
 _BATCH = 500  # most steps of one compiled call
+_MOST_SAMPLES = 10**7  # of a topic that a recording lacks: a day at 100 Hz
 _START = Parameter('start', 0.0, 's', 'sim time of the first message', low=-LATEST, high=LATEST)
 
 
@@ -251,8 +252,13 @@ def segments_of(recording: Recording, scene: Scene, values: Mapping[str, Any], s
             elif not own:
                 rate = known[name].rate
                 every = whole_ratio('1/integrator.step', 1.0 / scene.step, rate, values[rate])
-                at = np.arange(first, until[name] + 1)
-                samples[name] = at[(at % every == 0) | (at == first)]  # a reset is published
+                if last // every > _MOST_SAMPLES:
+                    raise LogError(f'{recording.title} lasts {last * scene.step:.3g} s, by its '
+                                   f'log times, with {last // every} samples of {name}, more '
+                                   f'than {_MOST_SAMPLES}: give --duration, or cut the bag')
+                # A reset is published, too.
+                at = np.arange(first - first % every, until[name] + 1, every).clip(first)
+                samples[name] = at[at <= until[name]]
         inside.sort(key=lambda entry: entry[:2])
         result.append(Segment(first, end, inside, changes, samples, logged))
         if recording.of_scene is not None:  # the log of a node has a message for each time-out
