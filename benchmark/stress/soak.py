@@ -61,8 +61,9 @@ class Visitor:
     def _see(self, message):
         # The least delay of delivery since the last row counts.
         now, stamp = time.monotonic(), message.header.stamp
-        self.offset = min(self.offset, now - stamp.sec - 1e-9 * stamp.nanosec)
         self.health = {pair.key: pair.value for pair in message.status[0].values}
+        self.offset = min(self.offset, now - stamp.sec - 1e-9 * stamp.nanosec
+                          - float(self.health['dropped_time_s']))
 
     def _act(self):
         now = time.monotonic()
@@ -91,7 +92,10 @@ def soak(minutes, rows):
     with tempfile.TemporaryDirectory() as folder:
         node = Node(folder, '--params-file', str(ROOT / 'config' / 'paper.yaml'),
                     publish_clock=True).ready()
-        visitor, lows, first, begun = Visitor(), [], None, time.monotonic()
+        visitor, lows, first = Visitor(), [], None
+        while not visitor.health:
+            time.sleep(0.1)
+        begun = time.monotonic()
         print('| minute | memory [MB] | drift [ms] | dropped [s] | overruns | refused | '
               'commands | visits | states | log [MB] |', flush=True)
         print('|' + 10 * '---|', flush=True)
@@ -102,12 +106,11 @@ def soak(minutes, rows):
                 low = min(low, resident(node.process.pid))
             lows.append(low)
             health = visitor.health
-            lost = float(health.get('dropped_time_s', 'nan'))
-            first = visitor.offset - lost if first is None else first
-            drift = visitor.offset - lost - first
+            first = visitor.offset if first is None else first
+            drift = visitor.offset - first
             print(f'| {(time.monotonic() - begun) / 60.0:.1f} | {low / 1e6:.1f} | '
-                  f'{1e3 * drift:+.2f} | {lost:g} | {health.get("overruns")} | '
-                  f'{health.get("refused_commands")} | {visitor.sent} | {visitor.visits} | '
+                  f'{1e3 * drift:+.2f} | {health["dropped_time_s"]} | {health["overruns"]} | '
+                  f'{health["refused_commands"]} | {visitor.sent} | {visitor.visits} | '
                   f'{visitor.states} | {node.log.stat().st_size / 1e6:.1f} |', flush=True)
         visitor.end()
         well, _ = survived(node)
