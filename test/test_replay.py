@@ -293,6 +293,16 @@ def test_a_log_of_an_old_version_is_refused_with_the_version_that_reads_it(log):
         'replay', log, code=2)
 
 
+def test_a_log_of_0_2_0_is_read_by_the_present_names(tmp_path):
+    log = log_of(tmp_path / 'old.mcap', timo_sim.load_scene({'model.modes': 1}), [(10, 1.0)], 20)
+    for name in ('width', 'height', 'shear_correction'):
+        falsify(log, f'"arm.section.{name}"'.encode(), f'"arm.{name}"        '.encode())
+    falsify(log, b'"sensor.encoder.noise": 0.0', b'"integrator.tolerance": 0.0')
+    assert 'all are the same to the last bit' in call('replay', log, '-o', tmp_path / 'new.mcap')
+    falsify(log, b'"integrator.tolerance": 0.0', b'"integrator.tolerance": 0.1')
+    assert 'split by integrator.tolerance, which timo_sim 0.2.0' in call('replay', log, code=2)
+
+
 def test_views_say_what_a_bag_or_log_lacks(bag, log, tmp_path):
     for file, missing in (bag, '/timo_sim/scene, so'), (log, 'modal_state of /timo_sim'):
         text = call('view', file, '--gif', tmp_path / 'run.gif', code=2)

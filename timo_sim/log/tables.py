@@ -39,6 +39,10 @@ _WRAP = 2**32  # sequence numbers are steps modulo this, or all 0 if a tool has 
 _RESTART = 10**8  # [ns] by which stamps fall only if a simulator is started again
 _FAR = 2.0**61  # [ns] that a log time may be from the others before sim times overflow
 _RENAMED = {'~/tip_imu': '~/tip_imu/data_raw'}  # names of topics in 0.2.0
+# Parameters of 0.2.0 and their present names; None: they are gone, and their values do not matter.
+_PARAMETERS = {
+    **{f'arm.{name}': f'arm.section.{name}' for name in ('width', 'height', 'shear_correction')},
+    'rate.arm_shape': None, 'publish_arm_shape': None, 'integrator.tolerance': None}
 _TYPES = {**{output.name: output.type_name for output in outputs(1)},
           **{command.name: command.type_name for command in COMMANDS}}
 
@@ -177,11 +181,15 @@ class Recording:
 
     @cached_property
     def parameters(self) -> dict[str, Any]:
-        """All logged parameters of the node, not checked."""
+        """All logged parameters of the node, not checked, by their present names."""
         parameters = json.loads(self.facts.get('parameters', 'null')) if self.facts else {}
         if not isinstance(parameters, dict):
             raise ValueError('its parameters are no dictionary')
-        return parameters
+        if parameters.get('integrator.tolerance'):
+            raise LogError(f'{self.title} has steps split by integrator.tolerance, which timo_sim '
+                           '0.2.0 was the last to do')
+        return {_PARAMETERS.get(name, name): value for name, value in parameters.items()
+                if _PARAMETERS.get(name, name)}
 
     @cached_property
     def scene(self) -> Any:
