@@ -188,8 +188,8 @@ class Recording:
         if parameters.get('integrator.tolerance'):
             raise LogError(f'{self.title} has steps split by integrator.tolerance, which timo_sim '
                            '0.2.0 was the last to do')
-        return {_PARAMETERS.get(name, name): value for name, value in parameters.items()
-                if _PARAMETERS.get(name, name)}
+        return {now: value for name, value in parameters.items()
+                if (now := _PARAMETERS.get(name, name))}
 
     @cached_property
     def scene(self) -> Any:

@@ -21,6 +21,7 @@ from rclpy.qos_overriding_options import QoSOverridingOptions
 from rclpy.service import Service
 from rclpy.subscription import Subscription
 
+from timo_sim.ros.private import overrides
 from timo_sim.scene.files import is_of_rclpy, QOS
 from timo_sim.scene.parameters import (
     check, DEFAULTS, did_you_mean, Parameter as Rule, ParameterError, PARAMETERS, RATES, short,
@@ -39,8 +40,8 @@ class ParameterNode(Node):
 
     def given(self) -> dict[str, Any]:
         """Return the checked value of each parameter by name; raise ParameterError."""
-        # Undeclared names must be refused, and rclpy has no public way to list them.
-        given = {name: parameter.value for name, parameter in self._parameter_overrides.items()}
+        # Undeclared names must be refused.
+        given = {name: parameter.value for name, parameter in overrides(self).items()}
         # ROS reads y as true, also in `ros2 param dump`, which writes it without quotes.
         if given.get('carrier.held') is True:
             given['carrier.held'] = 'y'
@@ -57,7 +58,7 @@ class ParameterNode(Node):
         `apply` is called with those first, a dictionary; it may raise ParameterError to refuse
         them. Create all topics before this call: QoS for any other topic is a ParameterError.
         """
-        for name, parameter in self._parameter_overrides.items():
+        for name, parameter in overrides(self).items():
             if name.startswith(QOS) and not self.has_parameter(name):
                 topics = {*(each.topic_name for each in self.publishers),
                           *(each.topic_name for each in super().subscriptions)}
@@ -103,7 +104,7 @@ class ParameterNode(Node):
     def _overridden(self, kind, topic):
         prefix = f'{QOS}{self.resolve_topic_name(topic)}.{kind}.'
         return QoSOverridingOptions([QoSPolicyKind[policy.upper()] for policy in _POLICIES
-                                     if prefix + policy in self._parameter_overrides])
+                                     if prefix + policy in overrides(self)])
 
     def create_service(self, srv_type: Any, srv_name: str, callback: Callable,
                        **options: Any) -> Service:
