@@ -9,8 +9,10 @@ from collections.abc import Callable, Sequence
 from dataclasses import replace
 from itertools import groupby
 import math
+import os
 import threading
 from typing import Any, NamedTuple
+import weakref
 
 import numpy as np
 from numpy.typing import ArrayLike
@@ -39,6 +41,33 @@ SAMPLE_EVERY = Parameter('sample_every', 1, '', 'steps between samples, 0: none'
 _MOST_BEHIND = 256  # most calls of `advance` that the finer run may be behind
 # Steps for which the finer run is called at once: a call takes as long as some steps.
 STEPS_BEHIND = 8
+
+
+_locks: weakref.WeakKeyDictionary = weakref.WeakKeyDictionary()  # the oldest first
+_forking = threading.local()  # the locks that a thread which forks has taken
+
+
+def new_lock() -> Any:
+    """Return a lock of the steps of a run, for which a fork waits."""
+    lock = threading.RLock()
+    _locks[lock] = None
+    return lock
+
+
+# A fork waits for the steps of other threads: in the child these would never end. A run is older
+# than its finer run, whose lock it takes while it holds its own.
+def _before_fork():
+    _forking.locks = list(_locks)
+    for lock in _forking.locks:
+        lock.acquire()
+
+
+def _after_fork():
+    for lock in _forking.locks:
+        lock.release()
+
+
+os.register_at_fork(before=_before_fork, after_in_parent=_after_fork, after_in_child=_after_fork)
 
 
 class _Call(NamedTuple):
@@ -90,7 +119,7 @@ class Simulator(PointsOfArm):
 
     def __init__(self, scene: SceneLike, estimate: bool = False) -> None:
         self.steps, scene = 0, load_scene(scene)
-        self._lock = threading.RLock()  # threads take turns; a diverged advance calls another
+        self._lock = new_lock()  # threads take turns; a diverged advance calls another
         self._first_body, self.tip_load = scene.manipulator, TipLoad(tip_of(scene))
         self._take(scene, scene.build())
         self._ends = self.integration.samples(1, 1)[1:]  # room for the samples of `step`
