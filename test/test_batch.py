@@ -3,6 +3,8 @@
 
 """Many manipulators at once do what each does alone, whatever the others do."""
 
+import subprocess
+import sys
 import threading
 
 import numpy as np
@@ -240,3 +242,25 @@ def test_steps_are_whole_numbers_from_0():
                 one.advance(*given)
         assert one.steps == 0
         assert one.advance(np.int64(3)) is not None and one.steps == 3
+
+
+FORK = """
+import os, threading
+import timo_sim
+simulator = timo_sim.Simulator({}, estimate=True)
+def step():
+    while True:
+        simulator.advance(1000)
+        simulator.measure_error()
+threading.Thread(target=step, daemon=True).start()
+for _ in range(20):
+    child = os.fork()
+    if not child:
+        simulator.advance(1)
+        os._exit(0)
+    assert os.waitpid(child, 0)[1] == 0
+"""
+
+
+def test_a_process_that_is_forked_while_another_thread_steps_can_step():
+    subprocess.run([sys.executable, '-c', FORK], check=True, timeout=300)

@@ -119,6 +119,14 @@ def test_imports_point_down():
     assert not {'model', 'steps', 'topics'} & importing('pathlib', 'yaml', 'mcap', 'os')
 
 
+def test_what_is_private_to_rclpy_is_used_in_one_module():
+    private = re.compile(r'rclpy\.(_|experimental)|\._parameter_overrides|take_message|'
+                         r'\.handle\b')
+    found = {path.name for path in (ROOT / 'timo_sim/ros').glob('*.py')
+             if private.search(path.read_text())}
+    assert found == {'private.py'}
+
+
 def test_what_is_not_needed_is_imported_late():
     python('-c', """
 import sys, timo_sim

@@ -20,6 +20,8 @@ import numpy as np
 import pyarrow.parquet
 import pytest
 from ros_process import Client, Process, replayed
+from rosbags.interfaces import (
+    Qos, QosDurability, QosHistory, QosLiveliness, QosReliability, QosTime)
 from rosbags.rosbag2 import Reader, StoragePlugin, Writer
 from rosbags.typesys import get_typestore, Stores
 from std_msgs.msg import Float64
@@ -37,7 +39,7 @@ from timo_sim.topics.commands import COMMANDS
 from timo_sim.topics.outputs import outputs
 
 LIES = 100
-STORE = get_typestore(Stores.ROS2_JAZZY)
+STORE, ZERO = get_typestore(Stores.ROS2_JAZZY), QosTime(0, 0)
 
 
 @pytest.fixture(scope='module')
@@ -487,3 +489,21 @@ def test_a_bag_opens_as_a_folder(log, tmp_path):
     call('export', tmp_path / 'link.mcap', '-o', tmp_path / 'third', '--bag')
     assert (tmp_path / 'third/third_0.mcap').samefile(log)
     assert not (tmp_path / 'third/third_0.mcap').is_symlink()
+
+
+def test_a_bag_of_humble_becomes_one_of_jazzy(tmp_path):
+    """Until version 8, policies of QoS are numbers, which rosbag2 refuses in version 9."""
+    kind, store = 'std_msgs/msg/Float64', get_typestore(Stores.ROS2_HUMBLE)
+    offered = Qos(QosHistory.KEEP_ALL, 0, QosReliability.BEST_EFFORT, QosDurability.VOLATILE, ZERO,
+                  ZERO, QosLiveliness.MANUAL_BY_TOPIC, ZERO, False)
+    with Writer(tmp_path / 'humble', version=8, storage_plugin=StoragePlugin.MCAP) as writer:
+        torque = writer.add_connection('/timo_sim/motor_torque', kind, typestore=store,
+                                       offered_qos_profiles=[offered])
+        writer.write(torque, 10**9, store.serialize_cdr(store.types[kind](1.0), kind))
+    assert 'reliability: 2' in (tmp_path / 'humble/metadata.yaml').read_text()
+    call('export', tmp_path / 'humble', '-o', tmp_path / 'jazzy', '--bag')
+    with Reader(tmp_path / 'jazzy') as bag:
+        found, = bag.connections
+    assert found.ext.offered_qos_profiles == [offered]
+    text = (tmp_path / 'jazzy/metadata.yaml').read_text()
+    assert 'reliability: best_effort' in text and 'liveliness: manual_by_topic' in text

@@ -8,35 +8,26 @@ import re
 import threading
 
 from action_msgs.msg import GoalStatus
-from geometry_msgs.msg import Pose, Twist
 import numpy as np
 import pytest
-from rcl_interfaces.srv import GetParameters
 from rclpy.action import ActionClient
 from ros_process import PATIENCE, replayed
 from sensor_msgs.msg import JointState
 from simulation_interfaces import srv
 from simulation_interfaces.action import SimulateSteps
 from simulation_interfaces.msg import (
-    Bounds, EntityCategory, EntityFilters, EntityState, Resource, Result, SimulationState,
-    SimulatorFeatures, TagsFilter)
-from simulation_interfaces.srv import ResetSimulation, SetEntityState, SetSimulationState
+    Bounds, EntityCategory, EntityFilters, Result, SimulationState, SimulatorFeatures, TagsFilter)
+from simulation_interfaces.srv import ResetSimulation, SetSimulationState
 from std_srvs.srv import SetBool, Trigger
-
-import timo_sim
-from timo_sim.log.tables import Recording
 
 STOPPED, PLAYING, PAUSED, QUITTING, NO_WORLD = (
     getattr(SimulationState, f'STATE_{name}')
     for name in ('STOPPED', 'PLAYING', 'PAUSED', 'QUITTING', 'NO_WORLD'))
-OK, FAILED, UNSUPPORTED, NOT_FOUND, INCORRECT = (
+OK, FAILED, UNSUPPORTED, NOT_FOUND = (
     getattr(Result, f'RESULT_{name}') for name in (
-        'OK', 'OPERATION_FAILED', 'FEATURE_UNSUPPORTED', 'NOT_FOUND', 'INCORRECT_STATE'))
+        'OK', 'OPERATION_FAILED', 'FEATURE_UNSUPPORTED', 'NOT_FOUND'))
 ALREADY = SetSimulationState.Response.ALREADY_IN_TARGET_STATE
 NO_TRANSITION = SetSimulationState.Response.STATE_TRANSITION_ERROR
-# Version 2 of the standard has flags for what is set, and the resource of a world as a message.
-FLAGS = hasattr(SetEntityState.Request(), 'set_pose')
-VERSION_2 = hasattr(srv.LoadWorld.Request(), 'world_resource')
 
 
 class Simulator:
@@ -87,23 +78,6 @@ class Simulator:
         response = self.ask('GetEntityState', entity=name)
         assert response.result.result == OK, response.result.error_message
         return response.state
-
-    def move(self, position=None, velocity=None, entity='carrier', **header):
-        """Set position and velocity of an entity."""
-        state = EntityState(pose=Pose(), twist=Twist())
-        for vector, values in ((state.pose.position, position), (state.twist.linear, velocity)):
-            vector.x, vector.y, vector.z = map(float, (*(values or (0.0, 0.0)), 0.0)[:3])
-        state.header.frame_id = header.pop('frame_id', '')
-        flags = {'set_pose': position is not None, 'set_twist': velocity is not None}
-        for name, value in header.items():
-            part, _, field = name.partition('__')
-            setattr(getattr(getattr(state, part), field), 'z', value)
-        return self.call('SetEntityState', entity=entity, state=state, **flags if FLAGS else {})
-
-    def load(self, **resource):
-        """Load a world; return code and text."""
-        return self.call('LoadWorld', **(
-            {'world_resource': Resource(**resource)} if VERSION_2 else resource))
 
     def begin(self, steps, feedback=lambda message: None):
         """Start the action; return its handle."""
@@ -161,12 +135,11 @@ def test_states_and_their_transitions(run, client):
     node, simulator = run(**PAUSED_NODE)
     features = simulator.features()
     assert set(features.features) == {getattr(SimulatorFeatures, name) for name in (
-        'ENTITY_CATEGORIES', 'ENTITY_STATE_GETTING', 'ENTITY_STATE_SETTING', 'ENTITY_INFO_GETTING',
-        'SIMULATION_RESET', 'SIMULATION_RESET_TIME', 'SIMULATION_RESET_STATE',
-        'SIMULATION_STATE_GETTING', 'SIMULATION_STATE_SETTING', 'SIMULATION_STATE_PAUSE',
-        'STEP_SIMULATION_SINGLE', 'STEP_SIMULATION_MULTIPLE', 'STEP_SIMULATION_ACTION',
-        'WORLD_LOADING', 'WORLD_RESOURCE_STRING', 'WORLD_INFO_GETTING', 'AVAILABLE_WORLDS')}
-    assert 'SCOPE_TIME is reset together' in features.custom_info and not features.spawn_formats
+        'ENTITY_CATEGORIES', 'ENTITY_STATE_GETTING', 'ENTITY_INFO_GETTING', 'SIMULATION_RESET',
+        'SIMULATION_RESET_STATE', 'SIMULATION_STATE_GETTING', 'SIMULATION_STATE_SETTING',
+        'SIMULATION_STATE_PAUSE', 'STEP_SIMULATION_SINGLE', 'STEP_SIMULATION_MULTIPLE',
+        'STEP_SIMULATION_ACTION')}
+    assert 'the clock goes on at a reset' in features.custom_info and not features.spawn_formats
 
     assert simulator.state() == PAUSED and simulator.set(PAUSED)[0] == ALREADY
     assert simulator.set(PLAYING)[0] == OK and simulator.state() == PLAYING
@@ -174,9 +147,8 @@ def test_states_and_their_transitions(run, client):
     assert simulator.step(1) == (FAILED, 'a step needs a paused simulation')
     assert simulator.set(STOPPED)[0] == OK and simulator.state() == STOPPED
     assert simulator.set(STOPPED)[0] == ALREADY
-    # Stopped is as started.
-    simulator.at(0)
-    assert simulator.states[-1].position[2] == math.pi / 4
+    # The state is the initial one.
+    client.wait(lambda: simulator.states[-1].position[2] == math.pi / 4, 'the state then')
     assert simulator.set(PAUSED)[0] == OK and simulator.state() == PAUSED
     assert simulator.set(STOPPED)[0] == OK and simulator.step(1)[0] == OK
     assert simulator.state() == PAUSED
@@ -187,8 +159,7 @@ def test_states_and_their_transitions(run, client):
     assert simulator.state() == PLAYING and simulator.set(QUITTING)[0] == OK
     code, output = node.wait()
     assert code == 0, output
-    for name in ('run', 'run_1', 'run_2'):
-        replayed(node.log.with_stem(name))
+    replayed(node.log)
 
 
 def test_steps_and_resets(run, client):
@@ -196,19 +167,15 @@ def test_steps_and_resets(run, client):
     assert simulator.step(1)[0] == OK
     simulator.at(1)
     assert simulator.step(0)[0] == OK and simulator.step(249)[0] == OK
+    code, text = simulator.step(2**31)
+    assert code == FAILED and 'at most 100000 steps, got 2147483648' in text
     simulator.at(250)
     first = {state.header.stamp.nanosec // 1000000: state for state in simulator.states}
-    scopes = ResetSimulation.Request
-    for scope in (scopes.SCOPE_TIME, scopes.SCOPE_SPAWNED):
-        assert simulator.reset(scope) == (
-            UNSUPPORTED, f'scope must have SCOPE_STATE, 2, got {scope}')
-    # The default is all. The clock goes back, and the run is the same.
-    for scope in (scopes.SCOPE_DEFAULT, scopes.SCOPE_ALL, scopes.SCOPE_TIME | scopes.SCOPE_STATE):
-        assert simulator.reset(scope) == (OK, '') and simulator.state() == PAUSED
-        simulator.at(0)
-        assert simulator.step(250) == (OK, '')
-        simulator.at(250)
-        assert simulator.states[-1].position == first[250].position
+    scopes = ResetSimulation.Request  # the default is all
+    for scope in (scopes.SCOPE_TIME, scopes.SCOPE_SPAWNED, scopes.SCOPE_DEFAULT, scopes.SCOPE_ALL,
+                  scopes.SCOPE_TIME | scopes.SCOPE_STATE):
+        code, text = simulator.reset(scope)
+        assert code == UNSUPPORTED and 'scope must be SCOPE_STATE, 2, without' in text
     assert simulator.reset(scopes.SCOPE_STATE) == (OK, '')
 
     # The action does one step after the other, with the same bits.
@@ -257,8 +224,6 @@ def test_after_a_divergence_only_stopping_helps(run, client):
     assert code == NO_TRANSITION and '~/reset is needed first' in text
     code, text = simulator.step(1)
     assert code == FAILED and '~/reset is needed first' in text
-    code, text = simulator.move((0.0, 0.0), (0.0, 0.0))
-    assert code == INCORRECT and '~/reset is needed first' in text
     assert simulator.set(STOPPED)[0] == OK and simulator.set(PLAYING)[0] == OK
     assert client.service(Trigger, '/timo_sim/reset')().success
 
@@ -307,133 +272,26 @@ def test_entities_are_listed_by_name_and_category(run):
     robot, human = (EntityCategory(category=getattr(EntityCategory, f'CATEGORY_{name}'))
                     for name in ('ROBOT', 'HUMAN'))
     for filters, names in (
-            (EntityFilters(filter='^end_'), ['end_effector']),
-            (EntityFilters(filter='r'), ['carrier', 'end_effector']),
-            (EntityFilters(categories=[human, robot], filter='ca(r|t)'), ['carrier']),
+            (EntityFilters(filter='end_effector'), ['end_effector']),
+            (EntityFilters(categories=[human, robot], filter='carrier'), ['carrier']),
             (EntityFilters(categories=[human]), [])):
         response = simulator.ask('GetEntities', filters=filters)
         assert (response.result.result, response.entities) == (OK, names)
         assert simulator.ask('GetEntitiesStates', filters=filters).entities == names
-    for filters, code in (
-            (EntityFilters(filter='('), FAILED), (EntityFilters(filter='a{9999999999}'), FAILED),
-            (EntityFilters(filter='[[:alpha:]]'), UNSUPPORTED),
-            (EntityFilters(tags=TagsFilter(tags=['arm'])), UNSUPPORTED),
-            (EntityFilters(bounds=Bounds(type=Bounds.TYPE_SPHERE)), UNSUPPORTED)):
-        assert simulator.call('GetEntities', filters=filters)[0] == code
-        assert simulator.call('GetEntitiesStates', filters=filters)[0] == code
+    # The first would take Python's `re` some 25^25 steps.
+    for filters in (EntityFilters(filter=25 * '(.*)' + '!'), EntityFilters(filter='ca(r|t)'),
+                    EntityFilters(filter='('), EntityFilters(tags=TagsFilter(tags=['arm'])),
+                    EntityFilters(bounds=Bounds(type=Bounds.TYPE_SPHERE))):
+        assert simulator.call('GetEntities', filters=filters)[0] == UNSUPPORTED
+        assert simulator.call('GetEntitiesStates', filters=filters)[0] == UNSUPPORTED
     info = simulator.ask('GetEntityInfo', entity='carrier').info
     assert info.category == robot and 'without turning' in info.description and not info.tags
-    for name in ('GetEntityInfo', 'GetEntityState', 'SetEntityState'):
+    for name in ('GetEntityInfo', 'GetEntityState'):
         assert simulator.call(name, entity='base') == (
             NOT_FOUND, 'entity must be one of carrier, end_effector, got base')
-    for name in ('UnloadWorld', 'SpawnEntity', 'SpawnEntities', 'DeleteEntity', 'GetSpawnables',
-                 'SetEntityInfo', 'GetEntityBounds', 'GetNamedPoses', 'GetNamedPoseBounds'):
+    for name in ('LoadWorld', 'UnloadWorld', 'GetCurrentWorld', 'GetAvailableWorlds',
+                 'SetEntityState', 'SpawnEntity', 'SpawnEntities', 'DeleteEntity',
+                 'GetSpawnables', 'SetEntityInfo', 'GetEntityBounds', 'GetNamedPoses',
+                 'GetNamedPoseBounds'):
         code, text = simulator.call(name)
         assert code == UNSUPPORTED and text
-
-
-def test_the_carrier_is_set_and_the_log_replays(run, client):
-    node, simulator = run(**{**PAUSED_NODE, 'estimate_error': True})
-    simulator.step(100)
-    assert simulator.move((1.0, 2.0), (0.5, -0.25)) == (OK, '')
-    # Subscribers see it at once, without a step.
-    client.wait(lambda: simulator.states[-1].position[:2].tolist() == pytest.approx([1.0, 2.0]),
-                'the state')
-    assert simulator.steps() == 100
-    state = simulator.entity('carrier')
-    assert vector(state.pose.position) == pytest.approx([1.0, 2.0], abs=1e-15)
-    assert vector(state.twist.linear) == pytest.approx([0.5, -0.25], abs=1e-15)
-    simulator.step(100)
-    if FLAGS:
-        assert simulator.move((3.0, 3.0), frame_id='world') == (OK, '')
-        speed = vector(simulator.entity('carrier').twist.linear)
-        assert np.abs(speed).max() > 0.1
-        assert simulator.move(velocity=(0.0, 1.0)) == (OK, '')
-        assert vector(simulator.entity('carrier').pose.position) == pytest.approx([3.0, 3.0])
-        assert simulator.call('SetEntityState', entity='carrier', set_acceleration=True) == (
-            UNSUPPORTED, 'accelerations follow from forces')
-    simulator.step(100)
-    invalid = SetEntityState.Response.INVALID_POSE
-    for code, words, arguments in (
-            (invalid, 'does not turn', {'position': (0.0, 0.0), 'pose__orientation': 0.1}),
-            (invalid, 'moves in a plane', {'position': (0.0, 0.0, 1.0)}),
-            (invalid, 'must be finite', {'position': (math.nan, 0.0)}),
-            (FAILED, 'moves in a plane', {'position': (0.0, 0.0), 'velocity': (0.0, 0.0, 1.0)}),
-            (FAILED, 'does not turn', {'position': (0.0, 0.0), 'velocity': (0.0, 0.0),
-                                       'twist__angular': 0.1}),
-            (UNSUPPORTED, 'frame_id must be empty or world, got tip', {'frame_id': 'tip'}),
-            (UNSUPPORTED, 'shaft and modes do not follow', {'entity': 'end_effector'})):
-        found, text = simulator.move(**arguments)
-        assert found == code and words in text
-    assert node.end()[0] == 0
-    found = Recording(node.log).changes
-    assert [(step, [*values]) for step, _, values in found] == [
-        (step, ['carrier']) for step in ([100, 200, 200] if FLAGS else [100])]
-    replayed(node.log)
-
-
-def test_a_world_is_a_scene(run, client, tmp_path, paper):
-    node, simulator = run(**{**PAUSED_NODE, 'carrier.held': 'y'})
-    modes = client.collect(JointState, '/timo_sim/modal_state')
-    world = simulator.ask('GetCurrentWorld').world
-    assert world.name == 'as started' and not world.world_resource.uri
-    code, text = simulator.move((0.0, 1.0), (0.0, 0.0))
-    assert code == FAILED and 'carrier.held = y' in text
-    simulator.step(5)
-    file = tmp_path / 'other scene.yaml'
-    file.write_text('/**: {ros__parameters: {model.modes: 5, arm.length: 1.5, integrator.step: '
-                    '0.0005, initial.shaft: 0.5, rate.joint_states: 10.0, estimate_error: false}}')
-    wrong = tmp_path / 'wrong.yaml'
-    wrong.write_text('/**: {ros__parameters: {arm.lenght: 1.5}}')
-    answer = srv.LoadWorld.Response
-    for resource, code, words in (
-            ({}, answer.NO_RESOURCE, 'are empty'),
-            ({'uri': 'https://example.org/a.yaml'}, answer.UNSUPPORTED_FORMAT, 'YAML file'),
-            ({'uri': 'http://[a'}, answer.RESOURCE_PARSE_ERROR, 'IPv6'),
-            ({'uri': 'world.sdf'}, answer.UNSUPPORTED_FORMAT, 'YAML file'),
-            ({'uri': str(wrong)}, answer.RESOURCE_PARSE_ERROR, 'did you mean arm.length'),
-            ({'resource_string': 'a: b: c'}, answer.RESOURCE_PARSE_ERROR, 'resource_string'),
-            # One of the node's own rates does not suit the step.
-            ({'resource_string': '/**: {ros__parameters: {integrator.step: 0.003}}'},
-             answer.RESOURCE_PARSE_ERROR, 'rate.joint_states'),
-            ({'uri': 'papper'}, NOT_FOUND, 'did you mean paper'),
-            ({'uri': str(tmp_path / 'none.yaml')}, NOT_FOUND, 'none.yaml')):
-        found, text = simulator.load(**resource)
-        assert found == code and words in text, text
-    # Nothing has changed until here, nor does a refused world stop the other one.
-    assert simulator.set(PLAYING)[0] == OK
-    assert simulator.load(uri=str(wrong))[0] == answer.RESOURCE_PARSE_ERROR
-    assert simulator.state() == PLAYING and simulator.set(PAUSED)[0] == OK
-    assert simulator.ask('GetCurrentWorld').world == world and simulator.step(5)[0] == OK
-
-    assert simulator.load(uri=file.as_uri()) == (OK, '') and simulator.state() == STOPPED
-    assert simulator.step(100) == (OK, '')
-    client.wait(lambda: modes[-1].header.stamp.nanosec == 50000000, 'the end')
-    assert len(modes[-1].name) == 5
-    get = client.service(GetParameters, '/timo_sim/get_parameters')
-    values = get(names=['arm.length', 'rate.joint_states', 'carrier.held', 'model.modes']).values
-    assert (values[0].double_value, values[1].double_value) == (1.5, 1000.0)
-    assert (values[2].string_value, values[3].integer_value) == ('none', 5)
-    # A command acts in the new world.
-    assert simulator.move((0.0, 1.0), (0.0, 0.0)) == (OK, '')
-
-    loaded = simulator.ask('GetCurrentWorld').world
-    assert (loaded.name, loaded.world_resource.uri) == ('other scene', file.as_uri())
-    assert 'arm of 1.5 m' in loaded.description
-    assert simulator.load(resource_string=loaded.world_resource.resource_string) == (OK, '')
-    again = simulator.ask('GetCurrentWorld').world
-    assert (again.name, again.world_resource.uri) == ('resource_string', '')
-    assert again.world_resource.resource_string == loaded.world_resource.resource_string
-
-    worlds = {each.name: each.world_resource.uri
-              for each in simulator.ask('GetAvailableWorlds').worlds}
-    assert {'paper', 'spin_up', 'standing'} <= {*worlds} and 'controllers' not in worlds
-    assert simulator.call('GetAvailableWorlds', additional_sources=['/'])[0] == UNSUPPORTED
-    assert simulator.load(uri=worlds['paper']) == (OK, '') and simulator.step(100)[0] == OK
-    code, output = node.end()
-    assert code == 0 and 'Traceback' not in output, output
-    logs = [node.log, *(node.log.with_stem(f'run_{number}') for number in (1, 2, 3))]
-    assert [Recording(log).scene.values['arm.length'] for log in logs] == [2.0, 1.5, 1.5, 2.0]
-    assert Recording(logs[3]).scene == timo_sim.load_scene(paper)
-    for log in logs:
-        replayed(log)

@@ -4,14 +4,12 @@
 """The running node: services, refused and stale commands, diagnostics, states for latecomers."""
 
 import time
-from types import SimpleNamespace
 
 from diagnostic_msgs.msg import DiagnosticArray, DiagnosticStatus
 from geometry_msgs.msg import PoseStamped, Vector3Stamped, WrenchStamped
 import numpy as np
 import pytest
-from rclpy.parameter import Parameter
-from ros_process import facts, nanoseconds, replayed, shared_node
+from ros_process import facts, nanoseconds, shared_node
 from rosgraph_msgs.msg import Clock
 from sensor_msgs.msg import JointState
 from std_msgs.msg import Float64
@@ -19,8 +17,6 @@ from std_srvs.srv import SetBool, Trigger
 
 import timo_sim
 from timo_sim.log.tables import Recording
-from timo_sim.ros.loop import StateError
-from timo_sim.ros.node import SimNode
 from timo_sim.ros.topics import Outlet
 from timo_sim.scene.parameters import RATES
 
@@ -255,50 +251,3 @@ def test_a_state_is_repeated_only_for_new_subscribers(client):
     client.collect(JointState, '/joint_states')
     client.wait(lambda: outlet.watched_anew(time.monotonic()), 'a subscriber')
     assert not outlet.watched_anew(time.monotonic() + 20.0)
-
-
-def test_a_node_begins_again_with_another_scene_and_a_carrier_that_is_set(ros, tmp_path):
-    """Without the services of simulation_interfaces, which call this."""
-    node = SimNode(SimpleNamespace(set=False), parameter_overrides=[
-        Parameter(name, value=value) for name, value in {
-            'record_file': str(tmp_path / 'run.mcap'), 'start_paused': True, 'duration': 1.0,
-            'initial.shaft_velocity': 1.0, 'rate.joint_states': 1000.0,
-            'real_time_factor': 0.0}.items()])
-    node.open()
-    publishers = sorted(each.topic_name for each in node.publishers)
-    node.step(50)
-    node.set_carrier([1.0, 2.0], None)
-    node.step(50)
-    for given, words in (({'integrator.step': 0.003}, 'duration = 1'),
-                         ({'integrator.step': 0.02}, 'rate.joint_states = 1000'),
-                         ({'initial.modal_rates': (1.0,)}, 'initial.modal_rates')):
-        with pytest.raises(timo_sim.ParameterError, match=words):
-            node.begin_again(given)
-    assert node.steps == 100 and node.scene.values['initial.shaft_velocity'] == 1.0
-
-    node.begin_again()
-    assert (node.steps, node.paused) == (0, True)
-    node.step(100)
-    node.begin_again({'model.modes': 5, 'arm.length': 1.5, 'real_time_factor': 2.0})
-    assert sorted(each.topic_name for each in node.publishers) == publishers
-    values = [node.get_parameter(name).value for name in (
-        'model.modes', 'arm.length', 'initial.shaft_velocity', 'real_time_factor')]
-    assert values == [5, 1.5, 0.0, 0.0]  # the last is one of the node itself
-    assert node.set_parameters([Parameter('carrier.viscous_friction', value=3.0)])[0].successful
-    assert node.scene.values['carrier.viscous_friction'] == 3.0
-    node.pause(False)
-    node.run()  # until `duration`
-    with pytest.raises(StateError, match='the node ends'):
-        node.begin_again()
-    node.destroy_node()
-    first, again, other = (tmp_path / f'run{number}.mcap' for number in ('', '_1', '_2'))
-    for log in (first, again, other):
-        replayed(log)
-    # The same run, but for the carrier; the other one has its own scene and clock.
-    one, two = (Recording(log).topics['joint_states'].values for log in (first, again))
-    assert len(one) == len(two) == 101 and np.array_equal(one[:51], two[:51])
-    assert one[51:, :2] == pytest.approx(two[51:, :2] + [1.0, 2.0] - two[50, :2], abs=1e-14)
-    assert one[51:, 2:] == pytest.approx(two[51:, 2:], abs=1e-13)
-    recording = Recording(other)
-    assert recording.scene.values['arm.length'] == 1.5
-    assert recording.topics['joint_states'].step.tolist() == [*range(1001)]

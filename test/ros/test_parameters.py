@@ -14,7 +14,9 @@ import sys
 import numpy as np
 import pytest
 from rcl_interfaces.msg import Parameter as ParameterMessage
-from rcl_interfaces.msg import ParameterType
+from rcl_interfaces.msg import ParameterType, ParameterValue
+from rcl_interfaces.srv import (
+    DescribeParameters, GetParameters, ListParameters, SetParameters, SetParametersAtomically)
 import rclpy
 from rclpy.node import Node
 from rclpy.parameter import get_parameter_value, Parameter, parameter_value_to_python
@@ -300,3 +302,31 @@ def test_loads_damping_and_limits_are_set_at_run_time(start, client):
         ['motor.dc.voltage_limit'], ['motor.torque_limit']]
     assert f'at step {changes[0][0]}: {VALUE} = [3.0]' in '\n'.join(info(node.log))
     replayed(node.log)
+
+
+ODD_NAMES = ['', 'use_sim_time', 'start_type_description_service', 'arm', 'a' * 10000,
+             'no\n\x1b[1m', 'qos_overrides./timo_sim/tip_pose.publisher.depth',
+             'motor.torque_limit', TIME]
+
+
+def test_each_question_about_parameters_is_answered(running):
+    """Also with types that ROS does not have, huge numbers and strange names."""
+    client, _, _ = running
+    values = [ParameterValue(type=kind) for kind in (*range(11), 77, 255)] + [
+        ParameterValue(type=2, integer_value=2**63 - 1), ParameterValue(type=3, double_value=-1e9),
+        ParameterValue(type=4, string_value='[' * 10000),
+        ParameterValue(type=5, byte_array_value=[b'\xff'])]
+    odd = [ParameterMessage(name=name, value=value) for name in ODD_NAMES for value in values
+           if name != 'use_sim_time' or value.type != ParameterType.PARAMETER_BOOL]
+    call = {kind: client.service(kind, f'/running/timo_sim/{name}') for kind, name in (
+        (SetParameters, 'set_parameters'), (ListParameters, 'list_parameters'),
+        (SetParametersAtomically, 'set_parameters_atomically'),
+        (GetParameters, 'get_parameters'), (DescribeParameters, 'describe_parameters'))}
+    results = call[SetParameters](parameters=odd).results
+    assert len(results) == len(odd)
+    for parameter in odd:
+        result = call[SetParametersAtomically](parameters=[parameter]).result
+        assert result.successful or result.reason.isprintable() and result.reason, parameter
+    for kind in (GetParameters, DescribeParameters):
+        assert call[kind](names=ODD_NAMES)
+    assert call[ListParameters](prefixes=ODD_NAMES, depth=2**64 - 1)

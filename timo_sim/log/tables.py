@@ -37,7 +37,12 @@ _AT_ONCE = 4096  # messages that are converted to arrays together
 _COMMANDS = {command.name: command for command in COMMANDS}
 _WRAP = 2**32  # sequence numbers are steps modulo this, or all 0 if a tool has not kept them
 _RESTART = 10**8  # [ns] by which stamps fall only if a simulator is started again
+_FAR = 2.0**61  # [ns] that a log time may be from the others before sim times overflow
 _RENAMED = {'~/tip_imu': '~/tip_imu/data_raw'}  # names of topics in 0.2.0
+# Parameters of 0.2.0 and their present names; None: they are gone, and their values do not matter.
+_PARAMETERS = {
+    **{f'arm.{name}': f'arm.section.{name}' for name in ('width', 'height', 'shear_correction')},
+    'rate.arm_shape': None, 'publish_arm_shape': None, 'integrator.tolerance': None}
 _TYPES = {**{output.name: output.type_name for output in outputs(1)},
           **{command.name: command.type_name for command in COMMANDS}}
 
@@ -86,7 +91,7 @@ class Recording:
         Steps at which the motion was reset.
     changes : list of tuple
         (step, resets before it in the file, values by name) of each setting of the scene's
-        parameters, or of the motion of the carrier, see `Simulator.set_carrier`.
+        parameters.
     unread : dict of str
         By topic of the node, why its messages are not read.
     of_scene : ndarray of int or None
@@ -176,11 +181,15 @@ class Recording:
 
     @cached_property
     def parameters(self) -> dict[str, Any]:
-        """All logged parameters of the node, not checked."""
+        """All logged parameters of the node, not checked, by their present names."""
         parameters = json.loads(self.facts.get('parameters', 'null')) if self.facts else {}
         if not isinstance(parameters, dict):
             raise ValueError('its parameters are no dictionary')
-        return parameters
+        if parameters.get('integrator.tolerance'):
+            raise LogError(f'{self.title} has steps split by integrator.tolerance, which timo_sim '
+                           '0.2.0 was the last to do')
+        return {now: value for name, value in parameters.items()
+                if (now := _PARAMETERS.get(name, name))}
 
     @cached_property
     def scene(self) -> Any:
@@ -399,7 +408,7 @@ class Recording:
         pace = (sim[-1] - sim[0]) / max(1, logged[-1] - logged[0])
         inside = np.interp(log_ns - logged[0], logged - logged[0], (sim - sim[0]).astype(float))
         beyond = (log_ns - np.clip(log_ns, logged[0], logged[-1])) * pace
-        return sim[0] + np.rint(inside + beyond).astype(np.int64)
+        return sim[0] + np.rint(inside + np.clip(beyond, -_FAR, _FAR)).astype(np.int64)
 
     @cached_property
     def _clock(self):

@@ -260,12 +260,24 @@ def yaml_text(value: Any) -> str:
     return yaml.dump(value, Dumper=_Dumper, sort_keys=False)
 
 
+# Names of QoS policies by their numbers in rmw, which bags of Humble and Iron have.
+_POLICIES = {
+    'history': ('system_default', 'keep_last', 'keep_all', 'unknown'),
+    'reliability': ('system_default', 'reliable', 'best_effort', 'unknown', 'best_available'),
+    'durability': ('system_default', 'transient_local', 'volatile', 'unknown', 'best_available'),
+    'liveliness': ('system_default', 'automatic', 'manual_by_node', 'manual_by_topic', 'unknown',
+                   'best_available')}
+
+
 def _qos_of(channel):
-    """Return the QoS in the metadata of a channel; none of a text that expands or is no YAML."""
+    """Return the QoS of a channel with names of policies; none if it cannot be read."""
     text = channel.metadata.get('offered_qos_profiles', '')
     try:
-        return yaml.safe_load(text if '&' not in text else '') or []
-    except (yaml.YAMLError, RecursionError, ValueError):
+        profiles = yaml.safe_load(text if '&' not in text else '') or []  # & would expand
+        return [{policy: _POLICIES[policy][value] if policy in _POLICIES and (
+            isinstance(value, int)) else value for policy, value in profile.items()}
+            for profile in profiles]
+    except (yaml.YAMLError, RecursionError, ValueError, IndexError, AttributeError, TypeError):
         return []
 
 

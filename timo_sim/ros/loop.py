@@ -12,7 +12,7 @@ import numpy as np
 
 from timo_sim.model.layout import LOADS
 from timo_sim.ros.topics import Commands, LateOutlet, RunLog
-from timo_sim.scene.parameters import whole_ratio
+from timo_sim.scene.parameters import MOST_STEPS, whole_ratio
 from timo_sim.simulation.simulator import Simulator
 from timo_sim.simulation.snapshot import Snapshot
 from timo_sim.simulation.warnings import DivergenceError
@@ -171,13 +171,13 @@ class Loop:
             for outlet in due:
                 outlet.publish(snapshot)
 
-    def _show_reached(self, changed=False):
-        """Send the state to subscribers, where it was not due or has `changed` by itself."""
+    def _show_reached(self):
+        """Send the state to subscribers, where it was not due."""
         step = self.simulator.steps
         # In lock step controllers would answer a state that waits for no command.
         if self.gate.takes_commands(step) and not self.diverged:
             self._send(outlet for outlet in self._outlets if outlet.subscribed
-                       and (changed or step % outlet.every) and outlet not in self._late)
+                       and step % outlet.every and outlet not in self._late)
 
     def _send(self, outlets):
         """Publish the present state, to subscribers alone."""
@@ -227,22 +227,13 @@ class Loop:
         self.publish(everything=True)
         self.pace.start(self.simulator.steps, time.monotonic())
 
-    def set_carrier(self, position: list[float] | None,
-                    velocity: list[float] | None) -> list[float]:
-        """Set position [m] and velocity [m/s] of the carrier, or one; return x, y of both."""
-        self._refuse_diverged()
-        now = self.snapshot()
-        carrier = [*(position or now.joint_positions[:2]), *(velocity or now.joint_velocities[:2])]
-        self.simulator.set_carrier(carrier)
-        self.check_subscribers()
-        self._show_reached(changed=True)
-        return carrier
-
     def step(self, count: int, stop: Any) -> str:
         """Do steps while paused; return the step reached, as text, or raise StateError."""
         self._refuse_diverged()
         if not self.paused:
             raise StateError('a step needs a paused simulation')
+        if count > MOST_STEPS:  # no other call is answered meanwhile
+            raise StateError(f'a call does at most {MOST_STEPS} steps, got {count}')
         self.check_subscribers()
         self.poll()
         goal = self.simulator.steps + count

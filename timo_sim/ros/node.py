@@ -25,8 +25,8 @@ from timo_sim.ros.topics import Commands, LateOutlet, MotionOutlet, Outlet, RunL
 from timo_sim.runs.simulate import resolve
 from timo_sim.scene.parameters import (
     frame_names, LATEST, ParameterError, PARAMETERS, SCENE)
-from timo_sim.scene.scene import find_implausible, Scene, scene_from
-from timo_sim.simulation.simulator import CARRIER, Simulator, STEPS_BEHIND
+from timo_sim.scene.scene import find_implausible, scene_from
+from timo_sim.simulation.simulator import Simulator, STEPS_BEHIND
 from timo_sim.simulation.snapshot import Snapshot
 from timo_sim.topics.outputs import TRANSFORMS
 
@@ -47,8 +47,7 @@ class SimNode(ParameterNode):
     def __init__(self, stop: Any, files: Mapping = MappingProxyType({}), **options: Any) -> None:
         # Compiling takes seconds. Services and topics come after it: others wait for these.
         super().__init__('timo_sim', start_parameter_services=False, **options)
-        self._stop, self._lock, self._ended = stop, threading.Lock(), False
-        self._values, self._kept = self.given(files), [*self.publishers]  # rclpy's own
+        self._stop, self._lock, self._values = stop, threading.Lock(), self.given(files)
         self._make(*self._prepare(self._values))
         self.declare(self._values, self._on_parameters)
         self._parameter_services = ParameterService(self)
@@ -159,7 +158,6 @@ class SimNode(ParameterNode):
             # In slices, because a signal does not end a sleep early.
             time.sleep(min(max(wait, 0.0), _LONGEST_SLEEP))
         with self._lock:
-            self._ended = True
             self._close()
 
     def _tick(self):
@@ -222,13 +220,8 @@ class SimNode(ParameterNode):
 
     @property
     def steps(self) -> int:
-        """Number of steps done; only `begin_again` sets it back."""
+        """Number of steps done; a reset does not set it back."""
         return self._simulator.steps
-
-    @property
-    def scene(self) -> Scene:
-        """The scene, with the parameters that were set at run time."""
-        return self._simulator.scene
 
     def pause(self, paused: bool) -> str:
         """Pause, or go on; return the new state, as text, or raise StateError."""
@@ -244,45 +237,6 @@ class SimNode(ParameterNode):
             self._tell_scene('reset', self._values)
             self._loop.restart()
             return f'reset at step {self.steps}'
-
-    def begin_again(self, given: dict[str, Any] | None = None, paused: bool = False) -> None:
-        """
-        Begin again at time 0 with a new log, as if the node was started again.
-
-        `given` are checked values of another scene, of which those of the node itself are left
-        out: its parameters stay. It is paused if it was, or `paused`. Raises ParameterError, and
-        nothing changes; StateError if the node ends.
-        """
-        values = dict(self._values)
-        if given is not None:
-            values.update({name: given.get(name, rule.default)
-                           for name, rule in PARAMETERS.items() if rule.scope == SCENE})
-        made = self._prepare(values)
-        with self._lock:
-            if self._ended:
-                raise StateError('the node ends')
-            paused = paused or self.paused
-            self._close()
-            for publisher in [each for each in self.publishers if each not in self._kept]:
-                self.destroy_publisher(publisher)
-            for subscription in [each for each in super().subscriptions if each.raw]:
-                self.destroy_subscription(subscription)
-            self._values.update(values)
-            self._make(*made)
-            self._loop.paused = paused
-            self.redeclare(values)
-            self.open()
-
-    def set_carrier(self, position: list[float] | None, velocity: list[float] | None) -> None:
-        """
-        Set position [m] and velocity [m/s] of the carrier, x and y; None: that stays.
-
-        Raises StateError if the simulation has diverged; else as `Simulator.set_carrier`.
-        """
-        with self._lock:
-            carrier = self._loop.set_carrier(position, velocity)
-            self._log.note(CHANGE, change_note(self.steps, {CARRIER.name: carrier}))
-            self._tell_scene('set', self._values, {CARRIER.name: carrier})
 
     def look(self, read: Callable[[Snapshot], Any]) -> Any:
         """Return what a function reads from the Snapshot of the present motion."""

@@ -20,7 +20,8 @@ from timo_sim.model.layout import (
     FORCE_I, FORCE_II, FORCE_X, FORCE_Y, place, TIP_I, TIP_II, TIP_TORQUE, TIP_X, TIP_Y, TORQUE,
     VOLTAGE)
 from timo_sim.ros.parameters import ParameterNode
-from timo_sim.ros.topics import Commands, decode, message_class, MotionOutlet, take
+from timo_sim.ros.private import overrides, take
+from timo_sim.ros.topics import Commands, decode, message_class, MotionOutlet
 from timo_sim.scene.parameters import frame_names, Parameter, ParameterError, short
 from timo_sim.scene.scene import scene_from
 from timo_sim.simulation.warnings import DivergenceError
@@ -49,7 +50,7 @@ class ObserverNode(ParameterNode):
 
     def __init__(self, stop: Any, files: Mapping = MappingProxyType({})) -> None:
         super().__init__('observer', namespace='timo_sim', start_parameter_services=False)
-        given = self._parameter_overrides.pop('disturbance', None)
+        given = overrides(self).pop('disturbance', None)
         disturbance = given and {'torque': _DISTURBANCE.check(given.value)}
         if disturbance and len(disturbance['torque']) != 2:
             raise ParameterError(f'disturbance must be [N m, s], got {short(given.value)}')

@@ -12,7 +12,7 @@ from typing import Any
 
 from rcl_interfaces.msg import (
     FloatingPointRange, IntegerRange, ParameterDescriptor, SetParametersResult)
-from rcl_interfaces.srv import SetParameters
+from rcl_interfaces.srv import SetParameters, SetParametersAtomically
 from rclpy.exceptions import ParameterNotDeclaredException
 from rclpy.node import Node
 from rclpy.parameter import Parameter
@@ -22,6 +22,7 @@ from rclpy.qos_overriding_options import QoSOverridingOptions
 from rclpy.service import Service
 from rclpy.subscription import Subscription
 
+from timo_sim.ros.private import overrides
 from timo_sim.scene.files import is_for, is_of_rclpy, QOS
 from timo_sim.scene.parameters import (
     check, complete, did_you_mean, find_outdated, gives_arm, Parameter as Rule, ParameterError,
@@ -45,8 +46,8 @@ class ParameterNode(Node):
         `files` are the sections of the parameter files of the command line. If they give any
         `arm.*`, they are a scene of its own; other parameters change the paper's.
         """
-        # Undeclared names must be refused, and rclpy has no public way to list them.
-        given = {name: parameter.value for name, parameter in self._parameter_overrides.items()}
+        # Undeclared names must be refused.
+        given = {name: parameter.value for name, parameter in overrides(self).items()}
         # ROS reads y as true, also in `ros2 param dump`, which writes it without quotes.
         if given.get('carrier.held') is True:
             given['carrier.held'] = 'y'
@@ -71,7 +72,7 @@ class ParameterNode(Node):
         `apply` is called with those first, a dictionary; it may raise ParameterError to refuse
         them. Create all topics before this call: QoS for any other topic is a ParameterError.
         """
-        for name, parameter in self._parameter_overrides.items():
+        for name, parameter in overrides(self).items():
             if name.startswith(QOS) and not self.has_parameter(name):
                 topics = {*(each.topic_name for each in self.publishers),
                           *(each.topic_name for each in super().subscriptions)}
@@ -100,11 +101,6 @@ class ParameterNode(Node):
 
         self.add_on_set_parameters_callback(callback)
 
-    def redeclare(self, values: dict[str, Any]) -> None:
-        """Set all parameters, also those that are read-only, without a call of `apply`."""
-        for name in PARAMETERS:  # rclpy has no public way to set what others cannot
-            self._parameters[name] = _of_rclpy(name, values[name])
-
     def create_publisher(self, msg_type: Any, topic: str, *arguments: Any,
                          **options: Any) -> Publisher:
         """Create a publisher with the QoS that parameters give it."""
@@ -122,13 +118,13 @@ class ParameterNode(Node):
     def _overridden(self, kind, topic):
         prefix = f'{QOS}{self.resolve_topic_name(topic)}.{kind}.'
         return QoSOverridingOptions([QoSPolicyKind[policy.upper()] for policy in _POLICIES
-                                     if prefix + policy in self._parameter_overrides])
+                                     if prefix + policy in overrides(self)])
 
     def create_service(self, srv_type: Any, srv_name: str, callback: Callable,
                        **options: Any) -> Service:
-        """Offer a service; the callback of rclpy's own SetParameters service is replaced."""
-        if srv_type is SetParameters:
-            callback = self._set_each
+        """Offer a service; the callbacks of rclpy's own services that set are replaced."""
+        callback = {SetParameters: self._set_each, SetParametersAtomically: self._set_all}.get(
+            srv_type, callback)
         return super().create_service(srv_type, srv_name, callback, **options)
 
     def set_parameters_atomically(
@@ -138,7 +134,8 @@ class ParameterNode(Node):
             return super().set_parameters_atomically([*map(_converted, parameter_list)])
         except ParameterNotDeclaredException:
             names = [each.name for each in parameter_list if not self.has_parameter(each.name)]
-            return _refused(f'{", ".join(names)} is not declared; QoS is set only at the start')
+            return _refused(f'{short(", ".join(names), str)} is not declared; QoS is set only at '
+                            'the start')
         except ParameterError as error:
             return _refused(error)
 
@@ -147,12 +144,22 @@ class ParameterNode(Node):
         # two impacts of mass and inertia.
         together = {}
         for message in request.parameters:
-            together.setdefault(_group(message.name), []).append(
-                Parameter.from_parameter_msg(message))
-        results = {group: self.set_parameters_atomically(parameters)
-                   for group, parameters in together.items()}
+            together.setdefault(_group(message.name), []).append(message)
+        results = {group: self._set(messages) for group, messages in together.items()}
         response.results = [results[_group(message.name)] for message in request.parameters]
         return response
+
+    def _set_all(self, request, response):
+        response.result = self._set(request.parameters)
+        return response
+
+    def _set(self, messages):
+        # What rclpy cannot read would otherwise get no answer.
+        try:
+            parameters = [Parameter.from_parameter_msg(message) for message in messages]
+        except ValueError as error:
+            return _refused(f'a parameter cannot be read: {error}')
+        return self.set_parameters_atomically(parameters)
 
 
 def _check_qos(name, value):

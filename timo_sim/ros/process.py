@@ -12,19 +12,14 @@ import threading
 from typing import Any
 
 import rclpy
-from rclpy._rclpy_pybind11 import RCLError
 from rclpy.exceptions import NameValidationException, ParameterException
 from rclpy.executors import ExternalShutdownException
 from rclpy.signals import SignalHandlerOptions
 from rclpy.utilities import remove_ros_args
 
+from timo_sim.ros.private import Executor, RCLError
 from timo_sim.scene.files import is_for, read_sections
 from timo_sim.scene.parameters import ParameterError, short
-
-try:  # it serves callbacks faster than SingleThreadedExecutor: benchmark/speed/latency.py
-    from rclpy.experimental import EventsExecutor as Executor
-except ImportError:  # an older rclpy
-    from rclpy.executors import SingleThreadedExecutor as Executor
 
 # A thread that is ready waits this long before it asks another for the interpreter [s].
 SWITCH_INTERVAL = 2e-4

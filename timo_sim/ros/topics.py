@@ -3,7 +3,7 @@
 
 """The node's publishers, its subscriptions to commands, and its log."""
 
-from collections.abc import Iterator, Sequence
+from collections.abc import Sequence
 from datetime import datetime
 from importlib import import_module
 import math
@@ -20,6 +20,7 @@ from rclpy.serialization import deserialize_message, serialize_message
 from rclpy.subscription import Subscription
 
 from timo_sim.log.write import Channel, DEPTH, names_note, Recorder, START, SUMMARY
+from timo_sim.ros.private import take
 from timo_sim.simulation.snapshot import Snapshot
 from timo_sim.topics.cdr import Serializer
 from timo_sim.topics.commands import COMMANDS, GROUPS, JOINTS, LARGEST_COMMAND, RefusedError
@@ -162,18 +163,6 @@ _READ = {
     'std_msgs/msg/Float64MultiArray': lambda message: ([], [message.data]),
 }
 _WRENCH = 'force.x', 'force.y', 'force.z', 'torque.x', 'torque.y', 'torque.z'
-
-
-def take(subscription: Subscription, kind: type) -> Iterator[tuple[bytes, int]]:
-    """Yield the serialised messages that have arrived, and when, by wall time [ns]."""
-    handle = subscription.handle
-    with handle:
-        # At most a full queue: a fast publisher could keep an endless loop busy for ever.
-        for _ in range(subscription.qos_profile.depth):
-            taken = handle.take_message(kind, True)
-            if taken is None:
-                return
-            yield taken[0], taken[1]['received_timestamp']
 
 
 def decode(data: bytes, kind: type, type_name: str) -> Any:

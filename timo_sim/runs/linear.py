@@ -14,6 +14,7 @@ import numpy as np
 from numpy.typing import ArrayLike
 
 from timo_sim.extras import optional
+from timo_sim.model.bodies import Quadrature
 from timo_sim.model.formulation import Formulation
 from timo_sim.model.layout import (
     ANGLE, INPUTS, LOADS, Motion, PUSH_X, PUSH_Y, rotate, TIP_TORQUE, TIP_X, TIP_Y, TORQUE,

@@ -24,7 +24,7 @@ from timo_sim.runs.run import Run
 from timo_sim.scene.parameters import (
     check, DEFAULTS, frame_names, LATEST, Parameter, ParameterError, steps_in, whole_ratio)
 from timo_sim.scene.scene import Scene, scene_from, values_of
-from timo_sim.simulation.simulator import CARRIER, Simulator
+from timo_sim.simulation.simulator import Simulator
 from timo_sim.simulation.warnings import DivergenceError
 from timo_sim.topics.cdr import pack
 from timo_sim.topics.commands import (
@@ -33,6 +33,7 @@ from timo_sim.topics.outputs import title, with_angles
 
 _ROUNDING = 1e-9  # relative error of times in steps
 _BATCH = 500  # most steps of one compiled call
+_MOST_SAMPLES = 10**7  # of a topic that a recording lacks: a day at 100 Hz
 _START = Parameter('start', 0.0, 's', 'sim time of the first message', low=-LATEST, high=LATEST)
 
 
@@ -248,8 +249,13 @@ def segments_of(recording: Recording, scene: Scene, values: Mapping[str, Any], s
             elif not own:
                 rate = known[name].rate
                 every = whole_ratio('1/integrator.step', 1.0 / scene.step, rate, values[rate])
-                at = np.arange(first, until[name] + 1)
-                samples[name] = at[(at % every == 0) | (at == first)]  # a reset is published
+                if last // every > _MOST_SAMPLES:
+                    raise LogError(f'{recording.title} lasts {last * scene.step:.3g} s, by its '
+                                   f'log times, with {last // every} samples of {name}, more '
+                                   f'than {_MOST_SAMPLES}: give --duration, or cut the bag')
+                # A reset is published, too.
+                at = np.arange(first - first % every, until[name] + 1, every).clip(first)
+                samples[name] = at[at <= until[name]]
         inside.sort(key=lambda entry: entry[:2])
         result.append(Segment(first, end, inside, changes, samples, logged))
         if recording.of_scene is not None:  # the log of a node has a message for each time-out
@@ -367,10 +373,7 @@ class Replay:
                 following = min(following, steps[place])
             while changes[next_change][0] <= step:
                 _, values = changes[next_change]
-                if CARRIER.name in values:
-                    simulator.set_carrier(values[CARRIER.name])
-                else:
-                    simulator.change(simulator.scene.vary(values))
+                simulator.change(simulator.scene.vary(values))
                 if self._log:
                     self._log.note(CHANGE, change_note(step, values))
                 next_change += 1

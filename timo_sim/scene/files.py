@@ -76,19 +76,18 @@ def installed_scenes() -> dict[str, Path]:
             if '\n/**:\n' in entry.read_text(encoding='utf-8')}
 
 
-def read_parameter_file(path: Path | str, text: str | None = None) -> dict[str, Any]:
+def read_parameter_file(path: Path | str) -> dict[str, Any]:
     """
     Return the values for the node `/timo_sim` in a scene's file, unchecked, by dotted name.
 
     It is a ROS parameter file, or has the values alone, such as `arm: {length: 0.8}`. `path` may
     also be the name of an installed scene. Sections match the node as in ROS: names
     and namespaces, with * for one of them and ** for any number. Parameters of rclpy itself are
-    left out. `text` stands for the content of a file; errors name it by `path`. Raises
-    ParameterError if the file is not valid or has no values for the node.
+    left out. Raises ParameterError if the file is not valid or has no values for the node.
     """
-    path = scene_file(path) if text is None else path
+    path = scene_file(path)
     try:
-        content = read_yaml(path) if text is None else parse_yaml(text, path)
+        content = read_yaml(path)
     except ParameterError as error:
         raise ParameterError(f'{error}; {_A_SCENE}') from None
     if not isinstance(content, Mapping):

@@ -28,6 +28,7 @@ from timo_sim.topics.outputs import FRAMES, outputs, SENSORS, TRANSFORMS
 
 SCENE, NODE = 'scene', 'node'
 LATEST = 2**31 - 1  # [s] largest time that a stamp of ROS can hold, 68 years
+MOST_STEPS = 100000  # of one call of a service of the node
 
 _SHORT = reprlib.Repr()
 _SHORT.maxlevel, _SHORT.maxlist, _SHORT.maxtuple, _SHORT.maxother = 2, 8, 8, 60
@@ -408,7 +409,7 @@ _ALL = [
               'before the first one, or while nobody publishes', high=LATEST, scope=NODE),
     Parameter('start_paused', False, '', 'whether the node starts paused, until ~/pause or ~/step',
               scope=NODE),
-    Parameter('steps_per_call', 1, '', 'time steps of one call of ~/step', low=1, high=1000000,
+    Parameter('steps_per_call', 1, '', 'time steps of one call of ~/step', low=1, high=MOST_STEPS,
               scope=NODE, runtime=True),
     Parameter('publish_clock', False, '', 'whether sim time is published on /clock', scope=NODE),
     *[_rate(output.rate, output.name, 100.0) for output in _OUTPUTS],

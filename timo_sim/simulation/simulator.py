@@ -9,8 +9,10 @@ from collections.abc import Callable, Sequence
 from dataclasses import replace
 from itertools import groupby
 import math
+import os
 import threading
 from typing import Any, NamedTuple
+import weakref
 
 import numpy as np
 from numpy.typing import ArrayLike
@@ -34,12 +36,38 @@ from timo_sim.steps.steps import CHUNK, Samples
 
 # Deflection beyond which the run counts as diverged, in arm lengths.
 MOST_BENT = 10.0
-CARRIER = Parameter('carrier', (), '', 'position [m] and velocity [m/s] along world x and y')
 COUNT = Parameter('count', 1, '', 'number of steps', low=0)
 SAMPLE_EVERY = Parameter('sample_every', 1, '', 'steps between samples, 0: none', low=0)
 _MOST_BEHIND = 256  # most calls of `advance` that the finer run may be behind
 # Steps for which the finer run is called at once: a call takes as long as some steps.
 STEPS_BEHIND = 8
+
+
+_locks: weakref.WeakKeyDictionary = weakref.WeakKeyDictionary()  # the oldest first
+_forking = threading.local()  # the locks that a thread which forks has taken
+
+
+def new_lock() -> Any:
+    """Return a lock of the steps of a run, for which a fork waits."""
+    lock = threading.RLock()
+    _locks[lock] = None
+    return lock
+
+
+# A fork waits for the steps of other threads: in the child these would never end. A run is older
+# than its finer run, whose lock it takes while it holds its own.
+def _before_fork():
+    _forking.locks = list(_locks)
+    for lock in _forking.locks:
+        lock.acquire()
+
+
+def _after_fork():
+    for lock in _forking.locks:
+        lock.release()
+
+
+os.register_at_fork(before=_before_fork, after_in_parent=_after_fork, after_in_child=_after_fork)
 
 
 class _Call(NamedTuple):
@@ -91,7 +119,7 @@ class Simulator(PointsOfArm):
 
     def __init__(self, scene: SceneLike, estimate: bool = False) -> None:
         self.steps, scene = 0, load_scene(scene)
-        self._lock = threading.RLock()  # threads take turns; a diverged advance calls another
+        self._lock = new_lock()  # threads take turns; a diverged advance calls another
         self._first_body, self.tip_load = scene.manipulator, TipLoad(tip_of(scene))
         self._take(scene, scene.build())
         self._ends = self.integration.samples(1, 1)[1:]  # room for the samples of `step`
@@ -321,29 +349,6 @@ class Simulator(PointsOfArm):
             raise ParameterError('set_motion needs a Simulator with estimate=False')
         with self._lock:
             self._state, self._resting = self.model.state(values), False
-
-    def set_carrier(self, carrier: Sequence[float]) -> None:
-        """
-        Go on with the carrier, and the arm that it carries, elsewhere and at another velocity.
-
-        `carrier` is position x, y [m], then velocity x, y [m/s], in world axes; shaft, deflection
-        and their rates stay. Logs note this as the setting `carrier`. Raises ParameterError if it
-        is not four finite numbers, or the carrier is held along an axis and would move.
-        """
-        values = CARRIER.check(carrier)
-        if len(values) != 4:
-            raise ParameterError(f'carrier must be four numbers, got {short(carrier)}')
-        with self._lock:
-            self.measure_error()
-            for each in filter(None, (self, self._finer)):
-                motion, half = each.motion.values, each.model.size // 2
-                places = [0, 1, half, half + 1]
-                if (each.model.constrained[[0, 1, 0, 1]] & (motion[places] != values)).any():
-                    raise ParameterError(
-                        f'carrier = {short(values)} must stay {short(motion[places].tolist())} '
-                        f'along the axes of carrier.held = {self.scene.values["carrier.held"]}')
-                motion[places] = values
-                each._state, each._resting = each.model.state(motion), False
 
     def advance(self, count: int, commanded: np.ndarray | None = None,
                 sample_every: int = 0) -> tuple[np.ndarray, np.ndarray]:
