@@ -452,13 +452,18 @@ def description(scene: Scene, frames: dict[str, str]) -> bytes:
 
 
 class NewLog(Recorder):
-    """A log of a run without a node: the same topics, and the bytes that the node writes."""
+    """
+    A log of a run without a node: the same topics, and the bytes that the node writes.
+
+    `summary`, a dictionary of str, is noted at its end.
+    """
 
     def __init__(self, path: Path | str, scene: Scene, values: dict[str, Any],
                  node: str = '/timo_sim', **notes: str) -> None:
         namespace, values = node.rpartition('/')[0], {**values, 'record_time': 'sim'}
         channels = [Channel(node + command.name[1:], command.type_name) for command in COMMANDS]
         self._topics: dict[str, tuple] = {}
+        self.summary: dict[str, str] = {}
         frames = frame_names(values)
         for output in (*scene.outputs, TRANSFORMS):
             name = output.name
@@ -486,7 +491,7 @@ class NewLog(Recorder):
 
     def close(self) -> None:
         """Complete the file; raise OSError if that fails, or the log has ended early."""
-        self.note(SUMMARY, {})
+        self.note(SUMMARY, self.summary)
         super().close()
         if self.error:
             raise OSError(self.error)

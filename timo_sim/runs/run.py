@@ -246,6 +246,7 @@ class Run(MotionFields, PointsOfArm):
             return path
         values = {**DEFAULTS, **self.scene.values}
         with closing(NewLog(path, self.scene, values, saved_by='Run.save')) as log:
+            log.summary = {name: str(value) for name, value in self.stats.items()}
             for snapshot in self._snapshots():
                 for output in self._outputs():
                     log.output(output.name, snapshot, output.numbers(snapshot))
