@@ -52,7 +52,8 @@ DESCRIPTION, TEXT = 'robot_description', 'std_msgs/msg/String'
 START, RESET, SUMMARY = 'timo_sim', 'timo_sim.reset', 'timo_sim.summary'
 CHANGE = 'timo_sim.change'
 # Versions and hardware that the last bits of a run depend on.
-ENVIRONMENT = ('timo_sim', 'python', 'numpy', 'scipy', 'numba', 'machine', 'processor')
+ENVIRONMENT = ('timo_sim', 'python', 'numpy', 'scipy', 'numba', 'machine', 'processor', 'log')
+LOG_VERSION = 2  # of what rows hold, see doc/log.md; the first one is not noted
 
 
 def start_note(node: str, values: dict) -> dict[str, str]:
@@ -120,7 +121,7 @@ def _environment():
     return dict(zip(ENVIRONMENT, (
         __version__, platform.python_version(),
         *(version(package) for package in ('numpy', 'scipy', 'numba')),
-        platform.machine(), get_host_cpu_name())))
+        platform.machine(), get_host_cpu_name(), str(LOG_VERSION))))
 
 
 HEAD = struct.Struct('<BQ')       # of a record: opcode, and length of the content
