@@ -108,6 +108,20 @@ def test_bits_and_log(name, program, tmp_path):
     assert recording.frames['tip'] == changes.get('frame_prefix', '') + 'tip'
 
 
+def test_a_log_of_a_held_arm_with_loads_of_its_scene_replays(program, tmp_path):
+    """Its first row has the scene's torque; reactions of the held axis are not compared."""
+    library, _ = export(tmp_path, {
+        'carrier.held': 'y', 'gravity': [0.0, -3.0], 'load.torque.piecewise.time': [0.0],
+        'load.torque.piecewise.value': [1.0], **{
+            f'load.torque.harmonic.{part}': [] for part in ('amplitude', 'frequency', 'phase')}})
+    run(program, ['s 50', 'i torque 0.5', *5 * ['s 10']], library, tmp_path / 'run.mcap')
+    recover(tmp_path / 'run.mcap')
+    joints = Recording(tmp_path / 'run_recovered.mcap').topics['joint_states'].values
+    assert joints[:2, 8] == pytest.approx(1.0) and joints[2:, 8] == pytest.approx(1.5)
+    told = []
+    assert replay(tmp_path / 'run_recovered.mcap', show=told.append), told
+
+
 def test_urdf(program, tmp_path):
     """Interfaces are those of standard broadcasters; held joints and other motors have others."""
     changes, _ = SCENES['voltage, weight']

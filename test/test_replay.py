@@ -20,7 +20,7 @@ from timo_sim.cli import main
 from timo_sim.log.read import LogError
 from timo_sim.log.tables import Recording
 from timo_sim.log.write import CHANGE, change_note, Channel, NewLog, Recorder, RESET
-from timo_sim.scene.parameters import PARAMETERS
+from timo_sim.scene.parameters import DEFAULTS, PARAMETERS
 from timo_sim.topics.outputs import outputs
 
 STORE = get_typestore(Stores.ROS2_JAZZY)
@@ -249,6 +249,54 @@ def test_a_log_gives_the_same_bits_and_a_falsified_one_does_not(log, tmp_path):
     text = call('replay', wrong, code=1)
     assert ' of 909 logged numbers compared: ' in text and ' differ\n' in text
     assert 'joint_states carrier_x_m' in text
+
+
+JUMP = {'load.torque.piecewise.time': [0.0, 0.02], 'load.torque.piecewise.value': [1.0, -2.0]}
+FREE = {'carrier.held': 'none', 'carrier.mass': 1.0}
+SAVED = {
+    'held': {}, 'free': FREE, 'in gravity': {**FREE, 'carrier.held': 'x', 'gravity': [0.0, -9.81]},
+    'friction': {'motor.coulomb_friction': 0.1},
+    'current limit': {**FREE, 'motor.dc.resistance': 2.0, 'motor.dc.torque_constant': 0.5,
+                      'motor.dc.current_limit': 1.9, 'initial.shaft_velocity': 3.0},
+    'elastic gear': {**FREE, 'motor.gear.stiffness': 300.0, 'motor.rotor.inertia': 0.05}}
+
+
+@pytest.mark.parametrize('values', SAVED.values(), ids=SAVED)
+def test_a_row_is_the_motion_and_the_effort_before_it(values, tmp_path):
+    """In a run, its table, its log and a simulator alike; a replay of the log is the same."""
+    run = timo_sim.simulate(timo_sim.load_scene('arm', {**JUMP, **values}), 0.04)
+    torque = np.where(run.t < 0.0205, 1.0, -2.0)
+    if 'motor.dc.current_limit' not in values:  # 0.95 N m and the back-EMF
+        assert run.effort[:, 2] == pytest.approx(torque)
+    assert timo_sim.Simulator(run.scene).effort[2] == run.effort[0, 2]
+    assert run.columns()['shaft_torque_N_m'].tolist() == run.effort[:, 2].tolist()
+    path = run.save(tmp_path / 'run.mcap')
+    assert np.array_equal(timo_sim.open_log(path).effort, run.effort)
+    text = call('replay', path)
+    count = 41 * (19 + 2 * run.scene.modal_count - run.model.constrained.sum())
+    assert f'{count} of {count} logged numbers compared: all are the same to the last bit' in text
+
+
+def test_a_log_of_the_first_version_has_no_loads_in_its_first_row(tmp_path):
+    scene = timo_sim.load_scene('arm', {**JUMP, **FREE, 'model.modes': 0})
+    simulator, joints = timo_sim.Simulator(scene), scene.outputs[0]
+    for version, code in (('1', 0), ('2', 1)):
+        log = NewLog(tmp_path / f'{version}.mcap', scene, {**DEFAULTS, **scene.values},
+                     log=version)
+        for reset in range(2):
+            look = simulator.snapshot()
+            log.output(joints.name, look, [*joints.numbers(look)[:6], 0.0, 0.0, 0.0])
+            simulator.advance(1)
+            look = simulator.snapshot()
+            log.output(joints.name, look, joints.numbers(look))
+            if not reset:
+                simulator.reset()
+                log.note(RESET, {'step': str(simulator.steps)})
+        simulator = timo_sim.Simulator(scene)
+        log.close()
+        text = call('replay', log.path, code=code)
+        assert ('2 differ' in text) == code
+        assert timo_sim.open_log(log.path).effort[:, 2].tolist() == [0.0, 1.0, 0.0, 1.0]
 
 
 @pytest.mark.parametrize('presliding', [0.0, 0.003])

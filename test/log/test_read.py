@@ -33,7 +33,7 @@ from timo_sim.cli import main
 from timo_sim.log.info import info
 from timo_sim.log.read import LogError, LogFile, recover
 from timo_sim.log.tables import common, Recording, table
-from timo_sim.log.write import Channel, Recorder, START
+from timo_sim.log.write import Channel, Recorder, START, SUMMARY
 from timo_sim.topics.cdr import Serializer
 from timo_sim.topics.commands import COMMANDS
 from timo_sim.topics.outputs import outputs
@@ -278,6 +278,23 @@ def source(with_reset, tmp_path_factory):
         names = [getattr(entry, 'name', '') for entry in entries]
         return entries[:names.index('timo_sim.reset')]
     return rewritten(with_reset, tmp_path_factory.mktemp('source') / 'run.mcap', before_the_reset)
+
+
+def test_the_numbers_at_the_end_of_a_nodes_log_are_numbers(log, tmp_path):
+    run = timo_sim.open_log(log)
+    assert 'does not say whether there were warnings' in run.message and repr(run)
+    assert run.stats.pop('timing').endswith('no sim time was lost')
+    assert run.stats['refused_commands'] == 0
+    assert {type(value) for value in run.stats.values()} == {int, float}
+    assert 0.0 < run.stats['estimated_tip_error_m'] < 1e-5
+
+    def forged(entries):
+        return [Metadata(name=SUMMARY, metadata={'estimated_tip_error_m': text}) if (
+            isinstance(entry, Metadata) and entry.name == SUMMARY) else entry
+            for entry in entries]
+    for text, told in ('1e-5', '1e-05 m at most'), ('no number', 'warnings; '):
+        path = rewritten(log, tmp_path / f'{text}.mcap', forged)
+        assert told in repr(timo_sim.open_log(path))
 
 
 def test_a_log_that_other_tools_rewrote_is_read_and_replayed_the_same(source, tmp_path):

@@ -162,7 +162,7 @@ def test_a_controlled_run_has_the_bits_of_a_loop_also_on_a_busy_machine(start, n
         assert node.wait()[0] == 0
     recording = Recording(node.log)
     assert np.array_equal(recording.topics['~/joint_command'].step, np.arange(0, 200, 2))
-    assert recording.summary['missed_commands'] == '0'
+    assert recording.summary['missed_commands'] == 0
     replayed(node.log)
     record = in_a_loop(known.vary(stroke), {'lqr': LQR, 'mppi': MPPI}[name](known), DURATION)
     assert np.array_equal(recording.topics['joint_states'].values, record[:, 1:10])
@@ -212,7 +212,7 @@ def test_a_wait_ends_after_its_time_and_is_counted(start, client):
     code, output = node.wait()
     assert code == 0 and output.count('need sync: any_command') == 1
     summary = Recording(node.log).summary
-    assert 1 <= int(summary['missed_commands']) <= 9
+    assert 1 <= summary['missed_commands'] <= 9
     shown = '\n'.join(info(node.log))
     for name in ('missed_commands', 'mismatched_commands', 'dropped_time_s'):
         assert f' {name} {summary[name]}' in shown
@@ -281,8 +281,8 @@ def test_the_latest_message_sets_an_input(start, client):
     code, output = node.end()
     assert code == 0 and "no effect: 'shaft_rad' is none of ('carrier_x'," in output
     recording = Recording(node.log)
-    assert recording.summary['refused_commands'] == '5'
-    assert int(recording.summary['foreign_joints']) >= 1
+    assert recording.summary['refused_commands'] == 5
+    assert recording.summary['foreign_joints'] >= 1
     assert recording.topics['~/tip_wrench'].values.tolist() == [[3.0, *6 * [0.0]]]
     assert np.isnan(recording.topics['~/joint_command'].values).any()
     replayed(node.log)

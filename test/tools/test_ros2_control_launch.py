@@ -173,4 +173,4 @@ def test_the_commands_of_the_page_move_the_shaft(client, tmp_path, launch, publi
         return
     log, = tmp_path.glob('timo_sim_*.mcap')
     summary = Recording(log).summary
-    assert summary['refused_commands'] == summary['foreign_joints'] == '0'
+    assert summary['refused_commands'] == summary['foreign_joints'] == 0

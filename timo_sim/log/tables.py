@@ -9,6 +9,7 @@ import csv
 from dataclasses import dataclass
 from functools import cached_property
 import json
+import math
 from operator import index, itemgetter
 import os
 from pathlib import Path
@@ -85,8 +86,9 @@ class Recording:
     title, name : str
         Of the file, or of the folder of a split bag; the node's fully qualified name.
     facts, summary : dict
-        What the node noted at its start ('parameters', 'numpy', ...) and its end, or empty. In a
-        bag, the facts are those of ~/scene.
+        What the node noted at its start ('parameters', 'numpy', ...), texts, and at its end:
+        numbers, NaN where a text is none, but for 'timing'. In a bag, the facts are those of
+        ~/scene; what was not noted is missing.
     resets : ndarray of int
         Steps at which the motion was reset.
     changes : list of tuple
@@ -106,7 +108,9 @@ class Recording:
             first.path, first.name)
         if split and any(file.notes().facts for file in self.parts):
             raise LogError(f'{self.title} has {len(self.parts)} logs: name one')
-        self.facts, self.summary, logged, self.changes = first.notes()
+        self.facts, summary, logged, self.changes = first.notes()
+        self.summary = {name: text if name == 'timing' else _number(text)
+                        for name, text in summary.items()}
         if self.facts.get('timo_sim', '').startswith('0.1.'):
             raise LogError(f'{self.title} is of timo_sim {self.facts["timo_sim"][:9]}, whose logs '
                            'timo_sim 0.2.0 was the last to read')
@@ -421,6 +425,15 @@ class Recording:
                 order = np.argsort(series.log_ns, kind='stable')
                 return series.log_ns[order], series.ns[order]
         return None
+
+
+def _number(text):
+    for kind in int, float:
+        try:
+            return kind(text)
+        except ValueError:
+            continue
+    return math.nan
 
 
 def common(first: np.ndarray, second: np.ndarray) -> tuple:

@@ -52,7 +52,8 @@ DESCRIPTION, TEXT = 'robot_description', 'std_msgs/msg/String'
 START, RESET, SUMMARY = 'timo_sim', 'timo_sim.reset', 'timo_sim.summary'
 CHANGE = 'timo_sim.change'
 # Versions and hardware that the last bits of a run depend on.
-ENVIRONMENT = ('timo_sim', 'python', 'numpy', 'scipy', 'numba', 'machine', 'processor')
+ENVIRONMENT = ('timo_sim', 'python', 'numpy', 'scipy', 'numba', 'machine', 'processor', 'log')
+LOG_VERSION = 2  # of what rows hold, see doc/log.md; the first one is not noted
 
 
 def start_note(node: str, values: dict) -> dict[str, str]:
@@ -120,7 +121,7 @@ def _environment():
     return dict(zip(ENVIRONMENT, (
         __version__, platform.python_version(),
         *(version(package) for package in ('numpy', 'scipy', 'numba')),
-        platform.machine(), get_host_cpu_name())))
+        platform.machine(), get_host_cpu_name(), str(LOG_VERSION))))
 
 
 HEAD = struct.Struct('<BQ')       # of a record: opcode, and length of the content
@@ -464,13 +465,18 @@ def description(scene: Scene, frames: dict[str, str]) -> bytes:
 
 
 class NewLog(Recorder):
-    """A log of a run without a node: the same topics, and the bytes that the node writes."""
+    """
+    A log of a run without a node: the same topics, and the bytes that the node writes.
+
+    `summary`, a dictionary of str, is noted at its end.
+    """
 
     def __init__(self, path: Path | str, scene: Scene, values: dict[str, Any],
                  node: str = '/timo_sim', **notes: str) -> None:
         namespace, values = node.rpartition('/')[0], {**values, 'record_time': 'sim'}
         channels = [Channel(node + command.name[1:], command.type_name) for command in COMMANDS]
         self._topics: dict[str, tuple] = {}
+        self.summary: dict[str, str] = {}
         frames = frame_names(values)
         for output in (*scene.outputs, TRANSFORMS):
             name = output.name
@@ -498,7 +504,7 @@ class NewLog(Recorder):
 
     def close(self) -> None:
         """Complete the file; raise OSError if that fails, or the log has ended early."""
-        self.note(SUMMARY, {})
+        self.note(SUMMARY, self.summary)
         super().close()
         if self.error:
             raise OSError(self.error)

@@ -10,7 +10,6 @@ from typing import Any
 
 import numpy as np
 
-from timo_sim.model.layout import LOADS
 from timo_sim.ros.topics import Commands, LateOutlet, RunLog
 from timo_sim.scene.parameters import MOST_STEPS, whole_ratio
 from timo_sim.simulation.simulator import Simulator
@@ -61,7 +60,7 @@ class Loop:
         self._outlets = sorted(outlets, key=lambda outlet: outlet.name != '/clock') if (
             self.gate and self.gate.stamped) else outlets
         self._late = [outlet for outlet in outlets if isinstance(outlet, LateOutlet)]
-        self._commanded, self._applied = np.zeros(COMMANDED), [0.0] * LOADS
+        self._commanded = np.zeros(COMMANDED)
         self._shown_at = -math.inf  # wall time at which the state was published last [s]
 
     def configure(self, values: dict[str, Any], steps_each: dict[str, int]) -> None:
@@ -109,7 +108,6 @@ class Loop:
                 self.diverged, self.paused = str(error), True
                 self._logger.error(f'paused, {error}; ~/reset goes back to the start')
                 return
-            self._applied = simulator.load.tolist()
             if not self.gate.stamped and self.gate.takes_commands(simulator.steps):
                 # A command that came before this state is published acts, but does not answer it.
                 self.poll()
@@ -193,7 +191,7 @@ class Loop:
 
     def snapshot(self) -> Snapshot:
         """Return the Snapshot of the present motion, from which messages are made."""
-        snapshot = self.simulator.snapshot(self._applied)
+        snapshot = self.simulator.snapshot()
         late = self.gate.stamp_offset(snapshot.step)
         if late:
             snapshot.time = divmod(snapshot.nanoseconds + late, NANOSECONDS)
@@ -220,7 +218,7 @@ class Loop:
         self.gate.restart(self.simulator.steps)
         for outlet in self._late:
             outlet.drop()
-        self._applied, self.diverged = [0.0] * LOADS, None
+        self.diverged = None
 
     def restart(self) -> None:
         """Publish the state after a reset, and go on from now."""

@@ -18,7 +18,6 @@ from tqdm import tqdm
 from timo_sim.log.read import LogError
 from timo_sim.log.tables import Recording
 from timo_sim.log.write import CHANGE, change_note, NewLog, environment_differences, RESET
-from timo_sim.model.layout import LOADS
 from timo_sim.runs.simulate import resolve
 from timo_sim.runs.run import Run
 from timo_sim.scene.parameters import (
@@ -109,7 +108,9 @@ def replay(file: str | Path, changes: Mapping[str, Any] | None = None,
         if log:
             log.close()
     _report(show, recording, segments, again, time.monotonic() - begun)
-    count, differing, found = _compare(segments, scene, recording.topics)
+    if recording.facts.get('log', '1') == '1':
+        _without_loads_at_start(segments, scene)
+    count, differing, found = _compare(segments, scene, recording)
     repeats = same and recording.repeats
     logged = _count_logged(segments, scene, recording)
     show(f'{count} of {logged} logged numbers compared' + (
@@ -350,7 +351,7 @@ class Replay:
                 break
 
     def _run(self, segment, report):
-        commanded, load = np.zeros(COMMANDED), [0.0] * LOADS
+        commanded = np.zeros(COMMANDED)
         topics = [(name, self._outputs[name], segment.samples[name].tolist() + [math.inf])
                   for name in self._outputs if name in segment.samples]
         for name, output, steps in topics:
@@ -364,7 +365,7 @@ class Replay:
             for name, output, steps in topics:
                 place = segment.done[name]
                 while steps[place] == step:
-                    snapshot = snapshot or simulator.snapshot(load)
+                    snapshot = snapshot or simulator.snapshot()
                     numbers = output.numbers(snapshot)
                     segment.replayed[name][place] = numbers
                     if self._log:
@@ -388,11 +389,27 @@ class Replay:
             following = min(following, commands[next_command][0], changes[next_change][0],
                             step + (1 if has_tip_force(commanded) else _BATCH))
             simulator.advance(following - step, load_of_commands(commanded, simulator))
-            load = simulator.load.tolist()
             report(following - step)
 
 
-def _compare(segments, scene, topics):
+def _without_loads_at_start(segments, scene):
+    """Let a replay show what logs of the first version have: no loads before the first step."""
+    free = 6 + np.flatnonzero(~scene.build().constrained)  # columns of their efforts
+    for segment in segments:
+        if segment.done.get('joint_states') and segment.samples['joint_states'][0] == (
+                segment.first):
+            segment.replayed['joint_states'][0, free] = 0.0
+
+
+def _comparable(recording, scene, topic):
+    """Return which columns of a topic are the same to the last bit, by definition."""
+    columns = np.ones(recording.topics[topic].values.shape[1], dtype=bool)
+    if topic == 'joint_states' and 'saved_by' in recording.facts:
+        columns[6:] = ~scene.build().constrained  # others follow from the motion, by other code
+    return columns
+
+
+def _compare(segments, scene, recording):
     """Return counts of compared and differing numbers; name, largest, rms, time by column."""
     count, differing, result = 0, 0, []
     for output in scene.outputs:
@@ -404,12 +421,14 @@ def _compare(segments, scene, topics):
         time, logged, replayed = (
             np.concatenate([getattr(segment, kind)[topic][part] for segment, part in parts])
             for kind in ('samples', 'logged', 'replayed'))
-        count += logged.size
-        differing += (int(np.count_nonzero(logged.view('i8') != replayed.view('i8')))
+        columns = _comparable(recording, scene, topic)
+        count += len(logged) * columns.sum()
+        differing += (int(np.count_nonzero((logged.view('i8') != replayed.view('i8'))[:, columns]))
                       if logged.shape == replayed.shape else logged.size)
         if len(time):
             (names, logged), (others, replayed) = (
-                with_angles(topics[topic].columns, logged), with_angles(output.columns, replayed))
+                with_angles(recording.topics[topic].columns, logged),
+                with_angles(output.columns, replayed))
             for column in [name for name in names if name in others]:
                 distance = np.abs(replayed[:, others.index(column)]
                                   - logged[:, names.index(column)])
@@ -429,8 +448,8 @@ def _count_logged(segments, scene, recording):
     end = round(segments[-1].last * scene.step / recording.scene.step, 6)
     late = _delays_in_steps({name: output for name, (output, _) in series.items()},
                             recording.scene, recording.scene.step)
-    return sum(found.values[found.step + late[name] <= end].size
-               for name, (_, found) in series.items())
+    return sum(found.values[found.step + late[name] <= end][
+        :, _comparable(recording, scene, name)].size for name, (_, found) in series.items())
 
 
 def _report(show, recording, segments, again, seconds):

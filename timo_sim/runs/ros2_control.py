@@ -119,7 +119,7 @@ def _add(parent, **parameters):
 
 def _scene_in_c(scene, values, folder):
     """Return the C source of what the shared object has besides the functions of `export_c`."""
-    log = NewLog(Path(folder, 'head.mcap'), scene, values)
+    log = NewLog(Path(folder, 'head.mcap'), scene, values, saved_by='timo_sim_hardware')
     head = log.path.read_bytes()
     log.close()
     channels = {each.topic: each.id for each in LogFile(log.path).summary.channels.values()}

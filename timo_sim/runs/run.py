@@ -18,7 +18,7 @@ import numpy as np
 
 from timo_sim.extras import optional
 from timo_sim.model.formulation import Formulation, PointsOfArm
-from timo_sim.model.layout import FORCE_X, FORCE_Y, LOADS, Motion, MotionFields, TORQUE
+from timo_sim.model.layout import LOADS, Motion, MotionFields
 from timo_sim.scene.parameters import DEFAULTS, warn
 from timo_sim.scene.scene import Scene
 from timo_sim.simulation.energy import integral
@@ -153,13 +153,15 @@ class Run(MotionFields, PointsOfArm):
         Efforts of the joints, shape (n, 3).
 
         Forces on the carrier in world axes [N] and torque on the shaft [N m] at the end of the
-        last step; at the first sample, at the beginning of the first step. For a free joint these
-        are the loads and commands. For one that is held, locked or driven, this is the reaction of
-        its constraint, in addition to the loads: what a brake or drive must be able to give.
+        step before a sample; at the first sample, at the beginning of its step. For a free joint
+        these are the loads and commands. For one that is held, locked or driven, this is the
+        reaction of its constraint, in addition to the loads: what a brake or drive must be able to
+        give.
         """
         if self.recording is not None:
+            from timo_sim.log.tables import common
             joints = self.recording.read('joint_states')['joint_states']
-            return joints.values[np.searchsorted(joints.ns, np.rint(self.t * 1e9)), 6:9]
+            return joints.values[common(joints.ns, np.rint(self.t * 1e9).astype(int))[0], 6:9]
         effort = applied(self.model, self.values, self.loads())
         constrained = self.model.constrained
         if not constrained.any():
@@ -247,6 +249,7 @@ class Run(MotionFields, PointsOfArm):
             return path
         values = {**DEFAULTS, **self.scene.values}
         with closing(NewLog(path, self.scene, values, saved_by='Run.save')) as log:
+            log.summary = {name: str(value) for name, value in self.stats.items()}
             for snapshot in self._snapshots():
                 for output in self._outputs():
                     log.output(output.name, snapshot, output.numbers(snapshot))
@@ -274,12 +277,9 @@ class Run(MotionFields, PointsOfArm):
         steps = np.rint(self.t / self.scene.step).astype(int).tolist()
         models = [model for model, part in self._pieces for _ in range(*part.indices(len(steps)))]
         for step, model, motion, effort in zip(steps, models, self.values, self.effort):
-            # Before the first step nothing has acted, but constraints hold.
-            shown = effort if step else np.where(self.model.constrained, effort, 0.0)
-            load = [0.0] * LOADS
-            load[FORCE_X], load[FORCE_Y], load[TORQUE] = shown.tolist()
-            yield Snapshot(self.scene, model, step, round(step * self.scene.step * 1e9),
-                           motion, load)
+            found = Snapshot(self.scene, model, step, round(step * self.scene.step * 1e9), motion)
+            found.effort = tuple(effort.tolist())
+            yield found
 
 
 def run_scene(scene: Scene, steps: int, sample_every: int = 1,

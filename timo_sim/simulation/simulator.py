@@ -150,7 +150,7 @@ class Simulator(PointsOfArm):
 
     @property
     def load(self) -> np.ndarray:
-        """Load at the end of the last step, shape (LOADS,), see `model.layout`."""
+        """Load at the end of the last step, or the start, shape (LOADS,), see `model.layout`."""
         return self._load.copy()
 
     @property
@@ -161,20 +161,18 @@ class Simulator(PointsOfArm):
     @property
     def sensors(self) -> Sensors:
         """What the sensors read now: encoder, root_strain, tip_acceleration, gyro."""
-        return Sensors(self.snapshot(state=self._state.copy()))
+        return Sensors(self.snapshot(self._state.copy()))
 
     @property
     def effort(self) -> np.ndarray:
         """Efforts of carrier x, y [N] and shaft [N m], shape (3,), see `Snapshot.effort`."""
         return np.array(self.snapshot().effort)
 
-    def snapshot(self, load: list[float] | None = None,
-                 state: np.ndarray | None = None) -> Snapshot:
+    def snapshot(self, state: np.ndarray | None = None) -> Snapshot:
         """Return a Snapshot of now: valid until the next step, or longer with a kept state."""
-        load = self._load.tolist() if load is None else load
         acts = self._state if state is None else state, self.integration.acting(self.load)
         return Snapshot(self.scene, self.model, self.steps, self.nanoseconds, self.motion.values,
-                        load, acts)
+                        self._load.tolist(), acts)
 
     def reset(self) -> None:
         """Return to the initial motion and the start of the loads; the count of steps goes on."""

@@ -225,13 +225,14 @@ class Snapshot:
     """
     The motion, (2 (3 + N),), at one step; costly quantities are computed on demand.
 
-    `load` is that at the end of the last step, LOADS floats. `acts` are the state, (m,), and the
-    load that acts, (LOADS,), friction included. Accelerations, strains and forces of constraints
-    need it; without it `effort` is that of the load. `time` is sim time in [s] and [ns].
+    `load` is that at the end of the last step, or at the start, LOADS floats. `acts` are the
+    state, (m,), and the load that acts, (LOADS,), friction included. Accelerations, strains and
+    forces of constraints need it. Without them, as of a run, `effort` may be set. `time` is sim
+    time in [s] and [ns].
     """
 
     def __init__(self, scene: Scene, model: Formulation, step: int, nanoseconds: int,
-                 motion: np.ndarray, load: Sequence[float],
+                 motion: np.ndarray, load: Sequence[float] = (),
                  acts: tuple[np.ndarray, np.ndarray] | None = None) -> None:
         self._scene, self.model, self._load = scene, model, load
         self._acts: Any = acts
@@ -270,7 +271,7 @@ class Snapshot:
         return Joints(self.model, self.motion[np.newaxis], found[np.newaxis],
                       self._acts[1][np.newaxis], tip[np.newaxis])
 
-    @property
+    @cached_property
     def effort(self) -> tuple[float, ...]:
         """
         Forces on the carrier in world axes [N] and torque on the shaft [N m].
@@ -283,7 +284,7 @@ class Snapshot:
         effort = (*place(load[FORCE_X], load[FORCE_Y], self._values[2], load[FORCE_I],
                          load[FORCE_II]), float(torque))
         constrained = self.model.constrained
-        if self._acts is None or not constrained.any():
+        if not constrained.any():
             return effort
         return tuple(np.where(constrained, self.joints.reactions[0], effort).tolist())
 
