@@ -5,6 +5,9 @@
 
 from pathlib import Path
 import re
+import signal
+import subprocess
+import sys
 
 from click.testing import CliRunner
 import numpy as np
@@ -343,6 +346,24 @@ def test_the_command_fits_and_writes_a_scene(tmp_path):
     assert picture.read_bytes()[:4] == b'\x89PNG'
     again = CliRunner().invoke(main, arguments)
     assert again.exit_code == 2 and f'{fitted} exists' in again.output
+
+
+@pytest.mark.parametrize('number', [signal.SIGINT, signal.SIGTERM])
+def test_a_signal_ends_the_command_with_the_best_so_far(tmp_path, number):
+    timo_sim.simulate('paper', 4.0, sample_every=10, estimate=False).save(tmp_path / 'run.csv')
+    fitted = tmp_path / 'fitted.yaml'
+    command = subprocess.Popen(
+        [sys.executable, '-m', 'timo_sim', 'fit', tmp_path / 'run.csv', '--scene', 'paper',
+         '--set', 'end_effector.mass=2.5', '--free', 'end_effector.mass', 'arm.young_modulus',
+         'motor.shaft_inertia', '--starts', '16', '-o', fitted],
+        stdout=subprocess.PIPE, stderr=subprocess.PIPE, text=True)
+    while 'start 1 of 16' not in command.stderr.readline():
+        pass
+    command.send_signal(number)
+    told = command.communicate()
+    assert command.returncode == 1 and 'it was interrupted' in told[0], told
+    assert '# parameter            best so far' in fitted.read_text()
+    assert timo_sim.load_scene(fitted).values['end_effector.mass'] > 0.0
 
 
 BAD_ARGUMENTS = [
