@@ -18,7 +18,7 @@ import yaml
 
 import timo_sim
 from timo_sim.cli import main
-from timo_sim.fitting.record import read_log
+from timo_sim.fitting.record import read_log, read_table
 
 T = 0.01 * np.arange(200)
 ANGLE, TORQUE = np.sin(T), np.cos(3.0 * T)
@@ -188,6 +188,23 @@ def test_structures_of_simulink(tmp_path):
     savemat(tmp_path / 'b.mat', {'name': 'timeseries'})
     with pytest.raises(timo_sim.ParameterError, match='b.mat has no arrays of numbers'):
         timo_sim.read_record(tmp_path / 'b.mat', NAMED)
+
+
+def test_a_damaged_mat_file_does_not_end_the_process(tmp_path):
+    """SciPy crashes at some of these bits."""
+    from scipy.io import savemat
+    path = tmp_path / 'arm.mat'
+    savemat(path, {'t': T[:40], 's': {'a': ANGLE[:40], 'b': [1, 2, 3]}, 'name': 'text',
+                   'c': np.array([T[:40], 'x'], dtype=object)})
+    intact = path.read_bytes()
+    for bit in (1163, 1408, 1412):
+        damaged = bytearray(intact)
+        damaged[bit // 8] ^= 1 << bit % 8
+        path.write_bytes(damaged)
+        try:
+            read_table(path)
+        except timo_sim.ParameterError as error:
+            assert 'cannot be read' in str(error)
 
 
 def test_mappings_of_the_page(tmp_path):
