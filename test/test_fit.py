@@ -9,7 +9,7 @@ import warnings
 import numpy as np
 import pytest
 from scipy.linalg import toeplitz
-from scipy.signal import lfilter
+from scipy.signal import lfilter, lsim
 
 from benchmark.accuracy import fits
 import timo_sim
@@ -390,6 +390,54 @@ def test_values_that_a_scene_cannot_have_are_told():
     guess = {**scene, 'motor.coulomb_friction': 0.001, 'integrator.step': 40.0 * step}
     with pytest.warns(timo_sim.ModelWarning, match='ended where values are refused.*slope'):
         timo_sim.fit(guess, record, ['motor.coulomb_friction'], starts=1)
+
+
+def test_a_search_ends_where_a_run_is_possible():
+    """
+    A cable holds the shaft as a spring does: without it runs are far off, refused ones are not.
+
+    The arm is rigid and the motor a torque k u less k^2 of the speed, over the resistance.
+    """
+    t, voltage, constant = T[:751], VOLTAGE[:751], 70.0 * 0.0077
+    torque = constant * voltage / 2.6
+    motion = lsim(([1.0], [0.0063, 0.01 + constant**2 / 2.6, 2.0]), torque, t)[1]
+    record = timo_sim.Record.of({'voltage': (t, voltage)}, {'shaft': (t, motion)}, {'shaft': 1e-4})
+    guess = {**ARM, **MOTOR, 'motor.coulomb_friction': 0.05, 'motor.coulomb_speed': 0.1}
+    free = ['motor.coulomb_friction', 'motor.viscous_friction', 'motor.coulomb_speed']
+    with pytest.warns(timo_sim.ModelWarning, match='shaft is off by'):
+        found = timo_sim.fit(guess, record, free, starts=1, quick=True)
+    assert timo_sim.simulate(found.scene, 0.1).scene == found.scene and found.run is not None
+
+
+def test_a_fit_whose_time_is_up_has_the_best_so_far():
+    record = noisy(predicted({**ARM, **MOTOR}, {'voltage': (T, VOLTAGE)}, ['shaft']),
+                   {'shaft': 1e-4})
+    guess = {**ARM, **MOTOR, 'motor.viscous_friction': 0.02}
+    with pytest.warns(timo_sim.ModelWarning, match='best values so far.*its time was up'):
+        found = timo_sim.fit(guess, record, ['motor.viscous_friction'], time=1e-6)
+    assert found.values == {'motor.viscous_friction': 0.02} and found.errors['shaft'].rms > 1e-4
+    assert found.stopped and 'best so far' in found.report() and 'best so far' in repr(found)
+    for needs_more in (lambda: found.sample(3), found.next_input):
+        with pytest.raises(timo_sim.ParameterError, match='must have intervals'):
+            needs_more()
+
+
+@pytest.mark.parametrize('phase, told', [
+    ('start 1', 'best values so far.*it was interrupted'),
+    ('derivatives', 'intervals are not known: it was interrupted')])
+def test_an_interrupt_loses_only_what_was_not_begun(phase, told):
+    record = noisy(predicted({**ARM, **MOTOR}, {'voltage': (T, VOLTAGE)}, ['shaft']),
+                   {'shaft': 1e-4})
+
+    def tell(text):
+        if phase in text:
+            raise KeyboardInterrupt
+
+    guess = {**ARM, **MOTOR, 'motor.viscous_friction': 0.02}
+    with pytest.warns(timo_sim.ModelWarning, match=told):
+        found = timo_sim.fit(guess, record, ['motor.viscous_friction'], tell=tell)
+    assert found.values['motor.viscous_friction'] == pytest.approx(0.01, rel=0.01)
+    assert bool(found.stopped) == (phase == 'start 1') and 'not known' in found.report()
 
 
 def test_an_estimate_near_the_limit_of_its_parameter_is_no_refusal():

@@ -5,6 +5,9 @@
 
 from pathlib import Path
 import re
+import signal
+import subprocess
+import sys
 
 from click.testing import CliRunner
 import numpy as np
@@ -15,7 +18,7 @@ import yaml
 
 import timo_sim
 from timo_sim.cli import main
-from timo_sim.fitting.record import read_log
+from timo_sim.fitting.record import read_log, read_table
 
 T = 0.01 * np.arange(200)
 ANGLE, TORQUE = np.sin(T), np.cos(3.0 * T)
@@ -187,6 +190,23 @@ def test_structures_of_simulink(tmp_path):
         timo_sim.read_record(tmp_path / 'b.mat', NAMED)
 
 
+def test_a_damaged_mat_file_does_not_end_the_process(tmp_path):
+    """SciPy crashes at some of these bits."""
+    from scipy.io import savemat
+    path = tmp_path / 'arm.mat'
+    savemat(path, {'t': T[:40], 's': {'a': ANGLE[:40], 'b': [1, 2, 3]}, 'name': 'text',
+                   'c': np.array([T[:40], 'x'], dtype=object)})
+    intact = path.read_bytes()
+    for bit in (1163, 1408, 1412):
+        damaged = bytearray(intact)
+        damaged[bit // 8] ^= 1 << bit % 8
+        path.write_bytes(damaged)
+        try:
+            read_table(path)
+        except timo_sim.ParameterError as error:
+            assert 'cannot be read' in str(error)
+
+
 def test_mappings_of_the_page(tmp_path):
     """Each mapping of doc/fit.md reads the rig that its text describes."""
     from scipy.io import savemat
@@ -343,6 +363,24 @@ def test_the_command_fits_and_writes_a_scene(tmp_path):
     assert picture.read_bytes()[:4] == b'\x89PNG'
     again = CliRunner().invoke(main, arguments)
     assert again.exit_code == 2 and f'{fitted} exists' in again.output
+
+
+@pytest.mark.parametrize('number', [signal.SIGINT, signal.SIGTERM])
+def test_a_signal_ends_the_command_with_the_best_so_far(tmp_path, number):
+    timo_sim.simulate('paper', 4.0, sample_every=10, estimate=False).save(tmp_path / 'run.csv')
+    fitted = tmp_path / 'fitted.yaml'
+    command = subprocess.Popen(
+        [sys.executable, '-m', 'timo_sim', 'fit', tmp_path / 'run.csv', '--scene', 'paper',
+         '--set', 'end_effector.mass=2.5', '--free', 'end_effector.mass', 'arm.young_modulus',
+         'motor.shaft_inertia', '--starts', '16', '-o', fitted],
+        stdout=subprocess.PIPE, stderr=subprocess.PIPE, text=True)
+    while 'start 1 of 16' not in command.stderr.readline():
+        pass
+    command.send_signal(number)
+    told = command.communicate()
+    assert command.returncode == 1 and 'it was interrupted' in told[0], told
+    assert '# parameter            best so far' in fitted.read_text()
+    assert timo_sim.load_scene(fitted).values['end_effector.mass'] > 0.0
 
 
 BAD_ARGUMENTS = [

@@ -248,6 +248,17 @@ def test_bad_files_are_refused_or_recovered(tmp_path):
         new.unlink()
 
 
+def test_a_small_chunk_cannot_hold_millions_of_records(tmp_path):
+    path = tmp_path / 'run.mcap'
+    path.write_bytes(MCAP0_MAGIC + written(
+        Header(profile='', library=''),
+        Channel(id=1, schema_id=0, topic='/a', message_encoding='json', metadata={}), message(),
+        chunk(bytes(60 << 20), 'zstd')))
+    assert path.stat().st_size < 10_000
+    assert 'a chunk has more records than its size' in recover(path, tmp_path / 'new.mcap')
+    assert contents(tmp_path / 'new.mcap') == {'/a': 1}
+
+
 def raw(opcode, content, length=None):
     """Return a record, by default with its true length."""
     return struct.pack('<BQ', opcode, len(content) if length is None else length) + content

@@ -458,6 +458,8 @@ def sweep(file: str, output: str | None, workers: int | None, scheduler: str | N
     'Starts to be tried; by default up to 16, until the minimum is good or found again.'))
 @click.option('--quick', is_flag=True, help=(
     'End with the search: no intervals by profile and no suspects, which can take longer.'))
+@click.option('--time', type=float, metavar='SECONDS', help=(
+    'Most that the fit may take: the search then ends with the best so far.'))
 @click.option('--next', 'further', type=_FILE, metavar='NEXT.csv', help=(
     'Table to write: an input for the next record, which narrows the widest interval most.'))
 @click.option('--window', type=float, metavar='SECONDS', help=(
@@ -471,8 +473,8 @@ def sweep(file: str, output: str | None, workers: int | None, scheduler: str | N
 def fit(record: str, more: tuple[str, ...], scene: str | None, free: tuple[str, ...],
         bounds: tuple[str, ...], settings: tuple[str, ...], mapping: tuple[str, ...],
         outputs: str | None, hold_out: float, hold_out_record: tuple[str, ...],
-        starts: int | None, quick: bool, further: str | None, window: float | None, loss: str,
-        output: str | None, png: str | None) -> None:
+        starts: int | None, quick: bool, time: float | None, further: str | None,
+        window: float | None, loss: str, output: str | None, png: str | None) -> None:
     r"""
     Fit parameters of a scene to RECORDs: logs, bags or tables, and predict the rest of them.
 
@@ -483,13 +485,21 @@ def fit(record: str, more: tuple[str, ...], scene: str | None, free: tuple[str, 
         timo_sim fit a.csv b.csv --hold-out-record c.csv --mapping columns.yaml \
             --scene arm.yaml --free arm.young_modulus motor.shaft_inertia
 
-    Exit codes: 0 good; 2 bad input.
+    Ctrl-C and SIGTERM end the search with the best so far.
+
+    Exit codes: 0 good; 1 the search was stopped, by a signal, its time or an error: the best so
+    far is reported and written; 2 bad input.
     """
     from timo_sim.fitting.result import fit, read_scene_and_records
     from timo_sim.log.tables import write_table
-    from timo_sim.scene.parameters import ModelWarning
+    from timo_sim.scene.parameters import ModelWarning, ParameterError
     from timo_sim.scene.scene import load_scene
     _require(matplotlib=png)
+    for path in filter(None, (output, png, further)):  # before minutes are spent
+        if not Path(path).absolute().parent.is_dir():
+            raise FileNotFoundError(f'{path} cannot be written: its folder does not exist')
+    if output and Path(output).exists():
+        raise ParameterError(f'{output} exists: remove it or choose another name')
     changes, ends = parse_settings(settings), _parse_bounds(bounds)
     # Names behind the first one of --free arrive among the records, which are files.
     records = [record, *(each for each in more if Path(each).exists())]
@@ -499,11 +509,14 @@ def fit(record: str, more: tuple[str, ...], scene: str | None, free: tuple[str, 
     if outputs:
         measured, held = ([each.select(*outputs.split(',')) for each in some]
                           for some in (measured, held))
+    # As Ctrl-C; one that was started in the background ignores that.
+    for number in (signal.SIGINT, signal.SIGTERM):
+        signal.signal(number, signal.default_int_handler)
     with warnings.catch_warnings():
         warnings.simplefilter('ignore', ModelWarning)  # the report has its text
         found = fit(load_scene(guess, changes), measured, names, ends, hold_out, window, loss,
                     starts=starts, hold_out_records=held, tell=partial(click.echo, err=True),
-                    quick=quick)
+                    quick=quick, time=time)
     click.echo(found.report())
     if output:
         click.echo(f'{found.save(output)} is written')
@@ -516,6 +529,8 @@ def fit(record: str, more: tuple[str, ...], scene: str | None, free: tuple[str, 
                        f'{each.kind} {each.ratios[each.widest]:.0%}' for each in (best, *others)))
         write_table({'time_s': best.t, best.quantity: best.values}, Path(further))
         click.echo(f'{further} is written: {best.kind}')
+    if found.stopped:
+        sys.exit(1)
 
 
 @main.command()

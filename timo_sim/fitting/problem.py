@@ -13,6 +13,7 @@ from collections.abc import Collection, Mapping, Sequence
 from dataclasses import dataclass, replace
 import functools
 import math
+import time
 from typing import Any
 import warnings
 
@@ -292,7 +293,13 @@ def _spline(t, angle, knots):
 _AT_STEP = 1e-6  # [steps] distance from a step within which a sample is taken at it
 _MAX_STEPS = 1e7
 _MAX_PARTS = 16  # of a step, for friction that is steep
-DIVERGED = 1e3  # residual, in standard deviations, of a run that diverges
+# Residual of a run that fails, in standard deviations of the sensor, and in ranges of what it
+# measured, whichever is more: searches must not prefer it to a run that is far off.
+DIVERGED, _FAR_OFF = 1e3, 1e2
+
+
+class TimeIsUp(Exception):
+    """A run was asked for after the `deadline` of its Problem."""
 
 
 @dataclass(frozen=True)
@@ -310,8 +317,10 @@ class Problem:
 
     They are fitted to the part before `until` [s], in windows of the length `window` [s], if
     given, each predicted from an initial state of its own. `free` is a list of Free, `windows` of
-    Window.
+    Window. After `deadline`, a time of `time.monotonic`, `run` raises TimeIsUp.
     """
+
+    deadline = math.inf
 
     def __init__(self, scene: Scene, record: Record, names: Sequence[str],
                  bounds: Mapping[str, Sequence[float]], until: float,
@@ -388,6 +397,8 @@ class Problem:
         of the initial state by name; `scene` is by default `scene_of(values, initial)`. Raises
         DivergenceError if the run diverges, ParameterError if the values do not fit together.
         """
+        if time.monotonic() > self.deadline:
+            raise TimeIsUp
         scene = scene or self.scene_of(values, initial)
         scene = replace(scene, load=loads_of(self.record, scene, values, begin))
         duration = (self.record.duration if end is None else end) - begin + max(
@@ -409,15 +420,17 @@ class Problem:
 
     def residuals(self, values: Mapping[str, float], deviations: Mapping[str, float],
                   window: Window, initial: Mapping[str, float] | None = None) -> np.ndarray:
-        """Return the residuals of a window in standard deviations; large if it diverges."""
-        measured = self.measurements(window)
-        try:
-            run = self.run(values, window.begin, window.end, initial)
-            predicted = self.predictions(run, values, window.begin, window.end)
-        except (DivergenceError, ParameterError):
-            return np.full(sum(map(len, measured.values())), DIVERGED)
-        return np.concatenate([(predicted[name][1] - measured[name]) / deviations[name]
-                               for name in measured])
+        """Return the residuals of a window in standard deviations; raises what `run` raises."""
+        run = self.run(values, window.begin, window.end, initial)
+        predicted = self.predictions(run, values, window.begin, window.end)
+        return np.concatenate([(predicted[name][1] - measured) / deviations[name]
+                               for name, measured in self.measurements(window).items()])
+
+    def residuals_of_none(self, deviations: Mapping[str, float], window: Window) -> np.ndarray:
+        """Return large residuals, for a run of a window that fails."""
+        return np.concatenate([
+            np.full(len(measured), max(DIVERGED, _FAR_OFF * np.ptp(measured) / deviations[name]))
+            for name, measured in self.measurements(window).items()])
 
     def measurements(self, window: Window) -> dict[str, np.ndarray]:
         """Return the measured samples of a window, by output."""

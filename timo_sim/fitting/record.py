@@ -16,7 +16,10 @@ from dataclasses import dataclass, replace
 from functools import cache
 import math
 from pathlib import Path
+import pickle
 import re
+import subprocess
+import sys
 from typing import Any, Callable, NamedTuple
 
 import numpy as np
@@ -324,14 +327,24 @@ def _read_parquet(path):
         raise ParameterError(f'{path} cannot be read: {error}') from None
 
 
+# A damaged file may end the process that reads it, so it is another one.
+_MAT_READER = """
+import pickle, sys
+from scipy.io import loadmat
+try:
+    found = loadmat(sys.argv[1], simplify_cells=True)
+except Exception as error:  # of many types, for damaged files
+    found = str(error) or type(error).__name__
+pickle.dump(found, sys.stdout.buffer)
+"""
+
+
 def _read_mat(path):
-    from scipy.io import loadmat
-    try:
-        found = loadmat(path, simplify_cells=True)
-    except OSError:
-        raise
-    except Exception as error:  # of many types, for damaged files
-        raise ParameterError(f'{path} cannot be read, save it with -v7: {error}') from None
+    open(path, 'rb').close()  # an OSError for what cannot be read
+    done = subprocess.run([sys.executable, '-c', _MAT_READER, path], capture_output=True)
+    found = 'it is damaged' if done.returncode else pickle.loads(done.stdout)
+    if isinstance(found, str):
+        raise ParameterError(f'{path} cannot be read, save it with -v7: {found}')
     columns = [([name], values) for name, values in _flatten_arrays(found, '')]
     if not columns:
         raise ParameterError(f'{path} has no arrays of numbers; save timeseries and other objects '

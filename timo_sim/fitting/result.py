@@ -10,7 +10,7 @@ from dataclasses import dataclass, field
 from itertools import product
 import math
 from pathlib import Path
-import time
+from time import monotonic
 from typing import Any, TYPE_CHECKING
 
 import numpy as np
@@ -19,16 +19,15 @@ from timo_sim.extras import optional
 from timo_sim.fitting.next import next_inputs, NextInput
 from timo_sim.fitting.record import read_log, read_record, Record, SUFFIXES, unit_of
 from timo_sim.fitting.problem import (
-    covariance, NORMAL, Problem, r_squared, unidentified_combinations, whiteness)
+    covariance, NORMAL, Problem, r_squared, TimeIsUp, unidentified_combinations, whiteness)
 from timo_sim.fitting.posterior import Posterior, Samples
-from timo_sim.fitting.search import LOSSES, NUMERICAL, Search
+from timo_sim.fitting.search import LOSSES, NUMERICAL, reason_of, Search
 from timo_sim.fitting.suspects import name_suspects, Suspect, suspects
 from timo_sim.runs.run import Run
 from timo_sim.scene.files import scene_text, whole_file
 from timo_sim.scene.parameters import Parameter, ParameterError, short, warn
 from timo_sim.scene.scene import load_scene, Scene, SceneLike
 from timo_sim.simulation.finer import refine
-from timo_sim.simulation.warnings import DivergenceError
 
 if TYPE_CHECKING:
     from matplotlib.figure import Figure
@@ -42,12 +41,17 @@ _FAR = 10.0  # ratio of an estimate to its first guess, above which there is a w
 _RUNS = 30  # runs of a fit for each free parameter, in round figures
 _LONG = 60.0  # time of a fit, above which a remedy is told [s]
 _MAX_NUMERICAL = 0.2  # part of a residual that may be numerical error
+# Runs that follow a search for each free parameter and for all, and the most of the time of a fit
+# that is kept for these.
+_RUNS_OF_DERIVATIVES, _RUNS_AFTER, _KEPT = 4, 8, 0.5
 
 
 @dataclass(frozen=True)
 class Estimate:
     """
     A fitted parameter with its 95 % interval, `low` to `high`; NaN if it is not identified.
+
+    The interval alone is NaN where the fit was stopped before it was known.
 
     `deviation` is the standard deviation; of a positive parameter that of its logarithm times its
     value. `start` is the first guess; `bound` is 'low' or 'high' if it is at this bound, else ''.
@@ -193,6 +197,8 @@ class Fit(Prediction):
     suspects : list of Suspect
         What the scene may lack, that of the largest share of the squares of the residuals first;
         empty if these are white.
+    stopped : str
+        Why the search ended before its end, if it did: the estimates are then the best so far.
 
     """
 
@@ -209,6 +215,7 @@ class Fit(Prediction):
     posterior: Any = None
     information: Any = None
     suspects: list[Suspect] = field(default_factory=list)
+    stopped: str = ''
 
     @property
     def values(self) -> dict[str, float]:
@@ -217,7 +224,8 @@ class Fit(Prediction):
 
     def __repr__(self) -> str:
         found = ', '.join(f'{name} = {value:.4g}' for name, value in self.values.items())
-        return f'<Fit of {self.record.source}: {found or "nothing is identified"}>'
+        best = 'best so far: ' * bool(self.stopped)
+        return f'<Fit of {self.record.source}: {best}{found or "nothing is identified"}>'
 
     def plot(self) -> Figure:
         """Draw `Prediction.plot` of all records, side by side."""
@@ -226,10 +234,13 @@ class Fit(Prediction):
     def report(self) -> str:
         """Return estimates, errors and doubts as a text."""
         width = max(map(len, self.estimates))
-        lines = [f'{"parameter":<{width}}  {"estimate":>11}  {"95 % interval":>25}  '
+        lines = [f'{"parameter":<{width}}  '
+                 f'{"best so far" if self.stopped else "estimate":>11}  {"95 % interval":>25}  '
                  f'{"first guess":>11}']
         for name, each in self.estimates.items():
-            shown = (f'{each.value:>11.5g}  {f"{each.low:.5g} to {each.high:.5g}":>25}'
+            interval = ('not known' if math.isnan(each.low)
+                        else f'{each.low:.5g} to {each.high:.5g}')
+            shown = (f'{each.value:>11.5g}  {interval:>25}'
                      if each.identified else f'{"not identified by this record":>38}')
             bound = '  by profile' * each.profile + (
                 f'  at its {each.bound} bound' if each.bound else '')
@@ -240,7 +251,8 @@ class Fit(Prediction):
                  for i, first in enumerate([*self.estimates][:j])
                  if first in self.values and second in self.values
                  and abs(self.correlation[i, j]) > _HIGH_CORRELATION]
-        lines += ['', 'correlation above 0.95: ' + (', '.join(pairs) or 'none')]
+        lines += ['', 'correlation above 0.95: ' + (
+            ', '.join(pairs) or ('none' if self.posterior else 'not known'))]
         lines += ['not identified: ' + ' '.join(
             f'{part:+.2f} {name}' for name, part in parts.items()) for parts in self.unidentified]
         lines += ['another set of parameters fits as well: ' + ', '.join(
@@ -263,8 +275,9 @@ class Fit(Prediction):
 
         Up to 1000 draws from a wider distribution are weighted by the squares of their runs, about
         two for each. Raises ParameterError if a parameter is not identified, since the records
-        then allow any value of it.
+        then allow any value of it, or if the fit was stopped before its intervals.
         """
+        self._needs_intervals('samples')
         lost = [name for name, each in self.estimates.items() if not each.identified]
         if lost:
             raise ParameterError(f'samples need parameters that are identified: fix {lost[0]}')
@@ -277,9 +290,15 @@ class Fit(Prediction):
 
         They are sorted by how much they narrow the widest interval. `limit` bounds them, by
         default by the largest value of the first record's input; `duration` is by default that of
-        the first record [s]. Raises ParameterError if that has no input other than drive.
+        the first record [s]. Raises ParameterError if that has no input other than drive, or if
+        the fit was stopped before its intervals.
         """
+        self._needs_intervals('a next input')
         return next_inputs(self.posterior.search, self.information, self.scene, limit, duration)
+
+    def _needs_intervals(self, what):
+        if self.posterior is None:
+            raise ParameterError(f'{what} must have intervals, before which the fit was stopped')
 
     def save(self, path: str | Path) -> Path:
         """Write the fitted scene, all of it, as a parameter file; an existing one is kept."""
@@ -297,6 +316,7 @@ class Fit(Prediction):
 _HOLD_OUT = Parameter('hold_out', 0.0, '', '', low=0.0, high=0.95)
 _STARTS = Parameter('starts', 1, '', '', low=1)
 _WINDOW = Parameter('window', 1.0, 's', '', low=0.0, open_low=True)
+_TIME = Parameter('time', 1.0, 's', '', low=0.0, open_low=True)
 
 
 def fit(scene: SceneLike | None, record: RecordLike | Sequence[RecordLike], free: Sequence[str],
@@ -305,7 +325,8 @@ def fit(scene: SceneLike | None, record: RecordLike | Sequence[RecordLike], free
         mapping: str | Path | Mapping[str, Any] | Sequence[Any] | None = None,
         starts: int | None = None,
         hold_out_records: Sequence[RecordLike] = (),
-        tell: Callable[[str], object] | None = None, quick: bool = False) -> Fit:
+        tell: Callable[[str], object] | None = None, quick: bool = False,
+        time: float | None = None) -> Fit:
     """
     Fit parameters of a scene to a measured record, or to several.
 
@@ -350,6 +371,10 @@ def fit(scene: SceneLike | None, record: RecordLike | Sequence[RecordLike], free
     quick : bool
         End with the search: all intervals are quadratic, and no suspects are sought, which can
         take longer than the search.
+    time : float, optional
+        Most that the fit may take [s], but for the last run of each record. The search leaves
+        time for the intervals. Where this or a KeyboardInterrupt (Ctrl-C) stops the fit, the best
+        so far is returned, see `Fit.stopped`.
 
     Raises
     ------
@@ -381,35 +406,61 @@ def fit(scene: SceneLike | None, record: RecordLike | Sequence[RecordLike], free
     if isinstance(free, str) or not all(isinstance(name, str) for name in free):
         raise ParameterError(f'free must be a list of names, got {short(free)}')
     starts = None if starts is None else _STARTS.check(starts)
+    time = None if time is None else _TIME.check(time)
     start, measured, held = read_scene_and_records(scene, record, mapping, hold_out_records)
     start = start.with_fixed_shapes()
-    begun, bounds = time.monotonic(), dict(bounds or {})
+    begun, bounds = monotonic(), dict(bounds or {})
     problems = [Problem(start, each, _names_for(each, measured, free), bounds,
                         (1.0 - hold_out) * each.duration, window) for each in measured]
 
     def say(text):
         if tell:
-            tell(f'{time.monotonic() - begun:.1f} s: {text}')
+            tell(f'{monotonic() - begun:.1f} s: {text}')
 
     search = Search(problems, loss, say)
-    if tell:
-        say(_expect(search, quick))
+    common = [each.name for each in search.free if not each.is_own]
+    for last in held:
+        seen = {'initial.shaft': float(last.outputs['shaft'].values[0])} if (
+            'shaft' in last.outputs and {'initial', 'initial.shaft'} & {*free}) else {}
+        problems.append(Problem(start.vary(seen), last, _names_for(last, measured, common), {},
+                                0.0))
+    end = math.inf if time is None else begun + time
+    if tell or time:
+        run, columns = _measure(search)
+        say(_expect(search, run, columns, quick))
+        search.set_deadline(end - min(_KEPT * (end - begun), run * (
+            _RUNS_OF_DERIVATIVES * columns + _RUNS_AFTER)))
     search.run(starts)
+    doubts = []
+    if search.stopped:
+        doubts.append('these are the best values so far, since the search was stopped: '
+                      + search.stopped)
+    residuals, white = search.parts(), search.is_white()
+    attempt = _Phases(search, doubts, say)
+    search.set_deadline(end)
     names, count = [free.name for free in search.free], len(search.free)
-    say('derivatives, for the intervals')
-    jacobians, residuals, jumps = search.derivatives()
-    seconds = time.monotonic() - begun
+    jacobians, jumps = attempt('intervals are', search.derivatives, (None, []),
+                               'derivatives, for the intervals')
+    seconds = monotonic() - begun
     x, states = search.x[:count], search.states(search.x)
-    spread, white = covariance(jacobians, residuals)
-    whole = np.concatenate(jacobians)
-    posterior = Posterior(search, whole, spread)
-    spread = spread[:count, :count]
+    posterior = information = None
+    whole = np.zeros((0, len(search.x)))
+    profiles, parts = {}, []
+    if jacobians is None:
+        spread, known = np.full((count, count), np.nan), [True] * count
+    else:
+        spread, white = covariance(jacobians, residuals)
+        whole = np.concatenate(jacobians)
+        posterior = Posterior(search, whole, spread)
+        spread = spread[:count, :count]
+        known = [bool(half < (1.0 if each.log else max(1.0, abs(at)))) for each, at, half in zip(
+            search.free, x, NORMAL * np.sqrt(np.diag(spread)))]
     sigma = np.sqrt(np.diag(spread))
     halves = NORMAL * sigma
-    known = [bool(half < (1.0 if each.log else max(1.0, abs(at))))
-             for each, at, half in zip(search.free, x, halves)]
-    say('intervals' + (not quick) * ', where others may be by profile')
-    profiles = {} if quick else posterior.intervals(np.flatnonzero(known))
+    if posterior and not quick:
+        profiles = attempt('intervals by profile are',
+                           lambda: posterior.intervals(np.flatnonzero(known)), {},
+                           'intervals, where others may be by profile')
     estimates = {}
     for k, (each, at, half, identified) in enumerate(zip(search.free, x, halves, known)):
         value = each.value(at)
@@ -422,7 +473,7 @@ def fit(scene: SceneLike | None, record: RecordLike | Sequence[RecordLike], free
             value if identified else math.nan, low, high,
             sigma[k] * (value if each.log else each.scale) if identified else math.nan,
             each.start, each.unit, identified, bound, k in profiles)
-    doubts, predictions = [], []
+    predictions = []
     if jumps:
         cause, remedy = (', as with dry friction', ', or friction with a coulomb_presliding'
                          ) if start.friction.any() else ('', '')
@@ -435,47 +486,74 @@ def fit(scene: SceneLike | None, record: RecordLike | Sequence[RecordLike], free
     initial = dict(reversed([(k, state) for (k, _), state in zip(search.windows, states)]))
     fitted = problems[0].scene_of(search.values(x, 0), initial[0])
     shared = {each.name: each.value(at) for each, at in zip(search.free, x) if not each.is_own}
-    for last in held:
-        seen = {'initial.shaft': float(last.outputs['shaft'].values[0])} if (
-            'shaft' in last.outputs and {'initial', 'initial.shaft'} & {*free}) else {}
-        problems.append(Problem(start.vary(seen), last, _names_for(last, measured, shared), {},
-                                0.0))
+    search.set_deadline(math.inf)
     say('one run of each record, and one with more modes and half the step')
     for k, problem in enumerate(problems):
         values = search.values(x, k) if k < len(measured) else {
             each.name: shared[each.name] for each in problem.free}
         prediction, told = _predict(problem, values, initial.get(k), {
-            name: series.get((k, name), []) for name in problem.record.outputs})
+            name: series.get((k, name), []) for name in problem.record.outputs}, attempt)
         predictions.append(prediction)
         doubts += [f'{each} (record {k + 1})' if len(problems) > 1 else each for each in told]
+    search.set_deadline(end)
     likely = []
-    if not quick and not white and any(
+    if posterior and not quick and not white and any(
             1.0 - each.r_squared > NUMERICAL for prediction in predictions
             for each in prediction.errors.values()):
-        say('what the residuals look like')
-        likely = suspects(search, whole, np.concatenate(residuals))
-        doubts[:0] = name_suspects(likely)
-    # The derivatives by the parameters that initial states of windows cannot make up for.
-    q, _ = np.linalg.qr(whole[:, count:])
-    own = whole[:, :count] - q @ (q.T @ whole[:, :count])
-    parts = unidentified_combinations(
-        own, names, {name for name, each in estimates.items() if not each.identified})
+        likely = attempt('what the residuals look like is',
+                         lambda: suspects(search, whole, np.concatenate(residuals)), [],
+                         'what the residuals look like')
+        doubts[bool(search.stopped):bool(search.stopped)] = name_suspects(likely)
+    if posterior:
+        # The derivatives by the parameters that initial states of windows cannot make up for.
+        q, _ = np.linalg.qr(whole[:, count:])
+        own = whole[:, :count] - q @ (q.T @ whole[:, :count])
+        information = own.T @ own
+        parts = unidentified_combinations(
+            own, names, {name for name, each in estimates.items() if not each.identified})
     correlation = np.clip(spread / np.outer(sigma, sigma), -1.0, 1.0)  # but for round-off
     first, *more = predictions
     found = Fit(first.record, first.errors, first.run, first.predicted, first.until, fitted,
                 estimates, correlation, parts, white, doubts, seconds, search.tried,
-                search.others, more, posterior, own.T @ own, likely)
+                search.others, more, posterior, information, likely, search.stopped)
     if doubts:
         warn('; '.join(doubts))
     return found
 
 
-def _expect(search, quick):
-    """Return a text of how long a run takes and a fit may take."""
-    begun = time.monotonic()
+class _Phases:
+    """What follows a search, in phases that may fail or be stopped without loss of the others."""
+
+    def __init__(self, search: Search, doubts: list[str], say: Callable[[str], None]) -> None:
+        self._over, self._doubts, self._say = search.interrupted, doubts, say
+
+    def __call__(self, what: str, function: Callable[[], Any], otherwise: Any, text: str = '',
+                 needed: bool = False) -> Any:
+        """Return what a function does; otherwise, or if a phase was stopped, something else."""
+        reason = 'the fit was stopped before'
+        if needed or not self._over:
+            try:
+                if text:
+                    self._say(text)
+                return function()
+            except (KeyboardInterrupt, TimeIsUp) as stop:
+                self._over, reason = True, reason_of(stop)
+            except (ArithmeticError, ValueError) as error:  # of parameters, of linear algebra
+                reason = str(error)
+        self._doubts.append(f'{what} not known: {reason}')
+        return otherwise
+
+
+def _measure(search):
+    """Return how long a run of the records takes [s], and how many parameters it has."""
+    begun = monotonic()
     search.residuals(search.x)
-    run = time.monotonic() - begun
-    columns = max(len(each.free) + len(each.windows[0].names) for each in search.problems)
+    return monotonic() - begun, max(
+        len(each.free) + len(each.windows[0].names) for each in search.problems)
+
+
+def _expect(search, run, columns, quick):
+    """Return a text of how long a fit may take, if a run of the records takes `run` [s]."""
     seconds = _RUNS * columns * run
     text = (f'a run of the records takes {run:.2g} s, a fit of {columns} parameters from one '
             f'start some {seconds:.2g} s, or ten times that if the model lacks something'
@@ -526,16 +604,15 @@ def _read(scene, record, mapping):
     return read_log(record, None if scene is None else load_scene(scene))
 
 
-def _predict(problem, values, initial, residuals):
+def _predict(problem, values, initial, residuals, attempt):
     """Return the Prediction of a problem with these values, and what is doubtful of it."""
-    doubts, run, predicted, errors = [], None, {}, {}
-    fitted = problem.scene_of(values, initial)
-    try:
-        run = problem.run(values, scene=fitted)
-        predicted = {name: found for name, (_, found) in
-                     problem.predictions(run, values).items()}
-    except DivergenceError as error:
-        doubts.append(f'one run of the whole record diverges: {error}')
+    doubts, predicted, errors = [], {}, {}
+
+    def run_all(refined=lambda scene: scene):
+        run = problem.run(values, scene=refined(problem.scene_of(values, initial)))
+        return run, {name: found for name, (_, found) in problem.predictions(run, values).items()}
+
+    run, predicted = attempt('one run of the whole record is', run_all, (None, {}), needed=True)
     for name, channel in problem.record.outputs.items():
         parts = []
         for part in (channel.t <= problem.until, channel.t > problem.until):
@@ -555,12 +632,9 @@ def _predict(problem, values, initial, residuals):
     found = Prediction(problem.record, errors, run, predicted, problem.until)
     if run is None:
         return found, doubts
-    try:
-        finer = refine(fitted, 2, None, 0, same_equations=True)
-        again = problem.predictions(problem.run(values, scene=finer), values)
-    except (DivergenceError, ParameterError) as error:
-        return found, [*doubts, f'the numerical error is not known: {error}']
-    for name, (_, finer) in again.items():
+    _, again = attempt('the numerical error is', lambda: run_all(lambda scene: refine(
+        scene, 2, None, 0, same_equations=True)), (None, {}))
+    for name, finer in again.items():
         apart = float(np.sqrt(np.mean((finer - predicted[name])**2)))
         rms = errors[name].rms if problem.until else errors[name].hold_out_rms
         if apart > _MAX_NUMERICAL * rms:

@@ -14,7 +14,7 @@ import numpy as np
 from scipy.optimize import least_squares
 
 from timo_sim.fitting.problem import (
-    Free, initial_states, Problem, WHITE, whiteness, Window)
+    Free, initial_states, Problem, TimeIsUp, WHITE, whiteness, Window)
 from timo_sim.fitting.start import from_record
 from timo_sim.scene.parameters import ParameterError
 from timo_sim.simulation.warnings import DivergenceError
@@ -54,8 +54,9 @@ class Search:
     Problems share these, but biases and initial states, which each has of its own:
     `places` has for each problem where its `free` are in x. `deviations` and `against` have for
     each problem, by output, the standard deviation of the sensor, and the least correlation with
-    the first run. `tried` starts led to x and to `others` that fit as well, values by name.
-    `tell` is called with a text for each start and search.
+    the first run. `tried` starts led to x and to `others` that fit as well, values by name;
+    `stopped` says what ended the search before its end, if anything did, and x are then the best
+    so far. `tell` is called with a text for each start and search.
     """
 
     def __init__(self, problems: Sequence[Problem], loss: str,
@@ -84,12 +85,43 @@ class Search:
         self._states: list[list[Free]] = [[] for _ in self.windows]
         self.against = [self._check_start(k, problem) for k, problem in enumerate(problems)]
         self._prior = np.zeros(0)
-        self._known: dict[tuple[Any, ...], np.ndarray] = {}
+        self._known: dict[tuple[Any, ...], tuple[np.ndarray, bool]] = {}
+        self._fails = False
+        self._whole = self.windows
+        # Of all runs of the whole record: minus the logarithm of the likelihood, and coordinates.
+        self._best = math.inf, self.x
+        self.stopped, self.interrupted = '', False
         self.others: list[dict[str, float]] = []
         self.tried = 1
 
     def run(self, starts: int | None) -> None:
-        """Find x and the standard deviations of the sensors; `starts` is as for `fit`."""
+        """
+        Find x and the standard deviations of the sensors; `starts` is as for `fit`.
+
+        Where it ends early x are the best so far.
+        """
+        try:
+            self._run(starts)
+            if not self._failing(self.x):
+                return
+            self.stopped = 'it ended where no run is possible'
+        except (KeyboardInterrupt, TimeIsUp) as stop:
+            self.stopped, self.interrupted = reason_of(stop), isinstance(stop, KeyboardInterrupt)
+        except (ArithmeticError, ValueError) as error:  # of parameters, or of linear algebra
+            if math.isinf(self._best[0]):
+                raise
+            self.stopped = f'it failed: {error}'
+        finally:
+            self.set_deadline(math.inf)
+        self.windows, self.x, self.others = self._whole, self._best[1], []
+        self._estimate_deviations()
+
+    def set_deadline(self, deadline: float) -> None:
+        """Let runs after a time of `time.monotonic` raise TimeIsUp."""
+        for problem in self.problems:
+            problem.deadline = deadline
+
+    def _run(self, starts):
         ends, guess = [], self.x
         if not self.windows[0][1].names:
             ends = self._try_starts(starts)
@@ -99,6 +131,7 @@ class Search:
             every = [each for states in self._states for each in states]
             start = np.array([each.coordinate(each.start) for each in every])
             self.x, self._prior = np.concatenate([self.x, start]), start
+            self._best = math.inf, self.x
             self.low = np.concatenate([self.low, np.full(len(every), -np.inf)])
             self.high = np.concatenate([self.high, np.full(len(every), np.inf)])
         for number in range(1, _MAX_SEARCHES + 1):
@@ -111,7 +144,7 @@ class Search:
         self._tell('last search, with tight tolerances')
         found = [(self._solve(_TIGHT, x), self.x) for x in [self.x, *ends]]
         least, self.x = min(found, key=lambda end: end[0])
-        if not self._states[0] and not self._is_white() and not self._is_doubtful(1):
+        if not self._states[0] and not self.is_white() and not self._is_doubtful(1):
             # A first part may have led away from a guess that is good.
             self._solve(_LOOSE, guess)
             found.append((self._solve(_TIGHT), self.x))
@@ -134,7 +167,7 @@ class Search:
 
     def _try_starts(self, starts):
         """Move x to the best minimum from several starts; return the others that are as good."""
-        whole, parts, costs, reached, ends = self.windows, [], [], [], []
+        whole, parts, costs, reached, ends = self._whole, [], [], [], []
         first = [(k, Window(0.0, first_part(self.problems[k]), ())) for k, _ in whole]
         most = f'{starts}' if starts else f'up to {_MAX_STARTS}'
         for self.tried, x in enumerate(self._starts(starts or _MAX_STARTS), 1):
@@ -161,7 +194,8 @@ class Search:
                 break
         return [x for cost, x in ends if x is not self.x and cost <= (1.0 + _SAME) * best]
 
-    def _is_white(self):
+    def is_white(self) -> bool:
+        """Return whether the residuals of all outputs in all windows are white."""
         return all(whiteness(r) >= WHITE for r, _ in zip(
             self._split_rows(self.residuals(self.x)), self.series()))
 
@@ -242,18 +276,35 @@ class Search:
 
     def _residuals_of(self, x, w):
         k, window = self.windows[w]
-        return self.problems[k].residuals(
-            self.values(x, k), self.deviations[k], window, self.states(x)[w])
+        try:
+            return self.problems[k].residuals(
+                self.values(x, k), self.deviations[k], window, self.states(x)[w])
+        except (DivergenceError, ParameterError):
+            self._fails = True
+            return self.problems[k].residuals_of_none(self.deviations[k], window)
 
     def residuals(self, x: np.ndarray) -> np.ndarray:
         """Return all residuals, shape (n,)."""
+        return self._residuals(x)[0].copy()  # robust losses scale them
+
+    def _failing(self, x):
+        return self._residuals(x)[1]
+
+    def _residuals(self, x):
+        """Return all residuals, and whether a run has failed."""
         key = x.tobytes(), *self.problems, *self.windows, repr(self.deviations)
         if key not in self._known:
+            self._fails = False
             parts = [self._residuals_of(x, w) for w in range(len(self.windows))]
-            self._known[key] = np.concatenate(
-                [*parts, (x[len(self.free):] - self._prior) / _PRIOR_DEVIATION])
+            rows = np.concatenate([*parts, (x[len(self.free):] - self._prior) / _PRIOR_DEVIATION])
+            self._known[key] = rows, self._fails
             self._known = dict([*self._known.items()][-_MAX_KNOWN:])
-        return self._known[key].copy()  # robust losses scale them
+            if self.windows is self._whole and not self._fails:
+                unlikely = 0.5 * np.sum((self.weights(rows) * rows)**2) + sum(
+                    len(measured) * math.log(self.deviations[k][name])
+                    for k, name, measured in self.series())
+                self._best = min(self._best, (unlikely, x.copy()), key=lambda each: each[0])
+        return self._known[key]
 
     def jacobian(self, x: np.ndarray, step: float = _CENTRAL, central: bool = True) -> np.ndarray:
         """Return the derivatives of the residuals by x, from differences of runs."""
@@ -277,11 +328,22 @@ class Search:
             two_sided = central and self.low[k] <= x[k] - size <= self.high[k]
             for w in windows[k]:
                 rows = slice(edges[w], edges[w + 1])
-                other = self._residuals_of(x - shift, w) if two_sided else here[rows]
-                found[rows, k] = (self._residuals_of(x + shift, w) - other) / (
-                    2.0 * size if two_sided else size)
+                found[rows, k] = self._difference(x, shift, w, here[rows], two_sided) / size
         found[edges[-1]:, count:] = np.eye(len(x) - count) / _PRIOR_DEVIATION
         return found
+
+    def _difference(self, x, shift, w, here, two_sided):
+        """Return how a shift changes the residuals of a window, by runs that do not fail."""
+        k, window = self.windows[w]
+        lost = np.array_equal(here, self.problems[k].residuals_of_none(self.deviations[k], window))
+        changes = []
+        for sign in (1.0, -1.0):
+            if two_sided or not changes:
+                self._fails = False
+                change = sign * (self._residuals_of(x + sign * shift, w) - here)
+                if lost or not self._fails:
+                    changes.append(change)
+        return np.mean(changes, axis=0) if changes else np.zeros(len(here))
 
     def _split_rows(self, rows):
         """Return the rows of each output in each window, and those of the initial states."""
@@ -304,26 +366,33 @@ class Search:
                 self.deviations[k][name] = new
         return change
 
-    def derivatives(self) -> tuple[list[np.ndarray], list[np.ndarray], list[str]]:
+    def derivatives(self) -> tuple[list[np.ndarray], list[str]]:
         """
-        Return the derivatives at the end: jacobians, residuals, jumps.
+        Return the derivatives of `parts` at the end, (n_i, p + k), and jumps.
 
-        The first two are lists of ndarray, (n_i, p + k) and (n_i,), of each output in each window,
-        and of the prior of k initial states of windows; with a loss other than `linear` they have
-        its weights. `jumps` names parameters on which runs depend in jumps.
+        There are k initial states of windows; `jumps` names parameters on which runs depend in
+        jumps.
         """
-        jacobian, residuals = self.jacobian(self.x), self.residuals(self.x)
+        jacobian = self.jacobian(self.x)
         wide, count = self.jacobian(self.x, _WIDE), len(self.free)
         size, other = np.linalg.norm(jacobian, axis=0), np.linalg.norm(wide, axis=0)
         rough = np.linalg.norm(jacobian - wide, axis=0) > _MAX_DIFFERENCE * np.minimum(size, other)
         # Where a run jumps, the smaller derivative is taken: it makes the interval wider.
         jacobian[:, rough & (other < size)] = wide[:, rough & (other < size)]
         jumps = [free.name for free, jumps in zip(self.free, rough[:count]) if jumps]
-        root = self.weights(residuals)
-        jacobians, parts = (self._split_rows(rows) for rows in (
-            jacobian * root[:, np.newaxis], residuals * root))
-        used = len(parts) - (not len(self._prior))
-        return jacobians[:used], parts[:used], jumps
+        return self._weighted(jacobian), jumps
+
+    def parts(self) -> list[np.ndarray]:
+        """
+        Return the residuals at the end, (n_i,), of each output in each window, and of the prior.
+
+        With a loss other than `linear` they have its weights.
+        """
+        return self._weighted(self.residuals(self.x))
+
+    def _weighted(self, rows):
+        parts = self._split_rows((self.weights(self.residuals(self.x)) * rows.T).T)
+        return parts[:len(parts) - (not len(self._prior))]
 
     def weights(self, residuals: np.ndarray) -> np.ndarray:
         """Return the roots of the weights that the loss gives to residuals, shape (n,)."""
@@ -332,6 +401,11 @@ class Search:
                   'cauchy': lambda z: 1.0 / (1.0 + z)}[self.loss](residuals**2)
         weight[len(weight) - len(self._prior):] = 1.0  # the prior has no weights
         return np.sqrt(weight)
+
+
+def reason_of(stop: BaseException) -> str:
+    """Return what ended a search or what follows it, a KeyboardInterrupt or TimeIsUp, as text."""
+    return 'its time was up' if isinstance(stop, TimeIsUp) else 'it was interrupted'
 
 
 def first_part(problem: Problem) -> float:

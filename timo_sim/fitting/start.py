@@ -83,6 +83,7 @@ class _ArmOnShaft:
                                         'initial.equilibrium': False})
             record = replace(record, inputs={DRIVE: _smooth(t, angle), **inputs})
             self._seen = Problem(scene, record, ['arm.length'], {}, problem.until)
+            self._seen.deadline = problem.deadline
             self.driven = True
         measured = self._seen.measurements(self._seen.windows[0])
         self._measured = {name: each for name, each in measured.items()

@@ -38,6 +38,8 @@ from timo_sim.scene.files import whole_file
 _LARGEST_CHUNK = 64 * 1024 * 1024      # [B] uncompressed
 _LARGEST_RECORD = _LARGEST_CHUNK + 1024 * 1024
 _LARGEST_SUMMARY = 512 * 1024 * 1024   # [B], about that of a log of a month
+# Most records of a chunk, and for each of its bytes as stored: messages have stamps of their own.
+_MOST_RECORDS, _RECORDS_PER_BYTE = 10_000, 10
 _FOOTER = struct.Struct('<BQQQI8s')    # opcode, length, places of summary and offsets, CRC, magic
 # What mcap and the decompressors raise for bytes that they cannot read.
 _UNREADABLE = (McapError, ValueError, OverflowError, RuntimeError, EOFError, LookupError,
@@ -297,7 +299,11 @@ class _Reader:
                 self._report(f'a message is of an unknown channel, {channel}')
         elif opcode == _CHUNK_OPCODE:
             data, place = _decompress(_parse(ChunkRecord, content)), 0
+            left = _MOST_RECORDS + _RECORDS_PER_BYTE * len(content)
             while place < len(data):
+                left -= 1
+                if not left:
+                    raise ValueError('a chunk has more records than its size allows')
                 inner, length = HEAD.unpack_from(data, place)
                 begin, place = place + HEAD.size, place + HEAD.size + length
                 if place > len(data) or inner == _CHUNK_OPCODE:
