@@ -40,7 +40,7 @@ class EntryPoint(Function):
         if key not in self._known:
             self._known[key] = _Code(machine.load(self, constants)), self._wanted(constants)
         code, wanted = self._known[key]
-        return Call(code, wanted, constants)
+        return Call(self, code, wanted, constants)
 
     def _wanted(self, constants):
         """Return for each argument the function that returns what passes it."""
@@ -48,6 +48,9 @@ class EntryPoint(Function):
         return [_NUMBERS.get(given) or partial(
             _place, tuple(sizes.get(dim, dim) for dim in given.dims) + given.lanes * (WIDTH,),
             np.dtype(np.int64 if given.whole else float)) for given in self._arrays]
+
+    def __reduce__(self):
+        return self.name.rpartition('.')[2]  # its module has it
 
     def __call__(self, *args: Any) -> Any:
         """Call the machine code; `of` is faster where constants stay the same."""
@@ -69,11 +72,15 @@ _SHORT = 2**16  # longest array that a Call keeps in memory [B]
 class Call:
     """A function of machine code with its constants; called with the other arguments."""
 
-    def __init__(self, code: Any, wanted: list[Any], constants: tuple[Packed, ...]) -> None:
-        self._code, self._wanted, self._constants = code, wanted, constants
+    def __init__(self, entry: EntryPoint, code: Any, wanted: list[Any],
+                 constants: tuple[Packed, ...]) -> None:
+        self._entry, self._code, self._wanted, self._constants = entry, code, wanted, constants
         self._places = [each.place for each in constants]
         # Arguments of a call, and what they were passed as: the same need no check again.
         self._last: tuple[list[Any], list[Any]] = [_Code] * len(wanted), [None] * len(wanted)
+
+    def __reduce__(self):
+        return self._entry.of, self._constants
 
     def __call__(self, *args: Any) -> int:
         """Call the machine code; ValueError if an array is not of the shape or type it reads."""

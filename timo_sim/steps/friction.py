@@ -77,6 +77,9 @@ class FrictionSteps(Steps):
         self.memory = np.zeros(MEMORY)
         self._advance: dict[int, Call] = {}
 
+    def __getstate__(self):
+        return {**super().__getstate__(), '_advance': {}}
+
     def _run(self, part, state, load, loads, samples, since):
         if id(part) not in self._advance:  # the model keeps its parts
             self._advance[id(part)] = advance.of(*part.constants, self.joints)
