@@ -43,11 +43,11 @@ class EntryPoint(Function):
         return Call(self, code, wanted, constants)
 
     def _wanted(self, constants):
-        """Return for each argument the function that returns what passes it."""
+        """Return for each argument the function that returns what passes it; whether once."""
         sizes = {name: size for each in constants for name, size in each.sizes.items()}
-        return [_NUMBERS.get(given) or partial(
+        return [(_NUMBERS[given], True) if given in _NUMBERS else (partial(
             _place, tuple(sizes.get(dim, dim) for dim in given.dims) + given.lanes * (WIDTH,),
-            np.dtype(np.int64 if given.whole else float)) for given in self._arrays]
+            np.dtype(np.int64 if given.whole else float)), given.own) for given in self._arrays]
 
     def __reduce__(self):
         return self.name.rpartition('.')[2]  # its module has it
@@ -91,13 +91,15 @@ class Call:
 
     def _check(self, args):
         """Return what passes the arguments."""
-        (values, places), short = map(list, self._last), True
-        for k, (value, last, place) in enumerate(zip(args, values, self._wanted, strict=True)):
+        values, kept = map(list, self._last)
+        places = [*kept]
+        for k, (value, last, (place, once)) in enumerate(
+                zip(args, values, self._wanted, strict=True)):
             if value is not last:
-                values[k], places[k] = value, place(value)
-                short = short and getattr(value, 'nbytes', 0) <= _SHORT
-        if short:
-            self._last = values, places
+                places[k] = place(value)
+                if once and getattr(value, 'nbytes', 0) <= _SHORT:
+                    values[k], kept[k] = value, places[k]
+        self._last = values, kept
         return places
 
 

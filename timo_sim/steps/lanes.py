@@ -203,10 +203,13 @@ def advance(tables, propagator, lane, columns, count, varying, steps, state, pro
 # For lanes with the same packed constants, and for lanes each with its own.
 advance_alike, advance_each = (EntryPoint(advance, {
     'tables': Constants(form), 'propagator': Constants(form), 'lane': Constants('lanes'),
-    'columns': Array((None,), whole=True), 'count': int, 'varying': Array((None,), lanes=True),
-    'steps': int, 'state': Array((None, 'state'), lanes=True),
-    'progress': Array((None, 2), lanes=True), 'motion': Array((None, 'motion'), lanes=True),
-    'end_tip': Array((None, 3), lanes=True), 'groups': int, 'sample_every': int, 'since': int,
+    'columns': Array((None,), whole=True, own=True), 'count': int,
+    'varying': Array((None,), lanes=True), 'steps': int,
+    'state': Array((None, 'state'), lanes=True, own=True),
+    'progress': Array((None, 2), lanes=True, own=True),
+    'motion': Array((None, 'motion'), lanes=True, own=True),
+    'end_tip': Array((None, 3), lanes=True, own=True), 'groups': int,
+    'sample_every': int, 'since': int,
     'samples': Array((None, 'motion'), lanes=True), 'sample_rows': int,
     'tips': Array((None, 3), lanes=True), 'tip_rows': int}, name)
     for name, form in (('advance_alike', 'shared'), ('advance_each', 'lanes')))
