@@ -18,7 +18,8 @@ from typing import Any
 import numpy as np
 
 from timo_sim.model import formulation_class
-from timo_sim.model.bodies import Beam, Constraints, Gear, Manipulator, Section
+from timo_sim.model.bodies import (
+    Beam, Constraints, Gear, Manipulator, SAME_PROFILE, Section, thinned)
 from timo_sim.model.formulation import Formulation
 from timo_sim.model.layout import AFTER, ANGLE, INPUTS, SPEED, START
 from timo_sim.model.statics import equilibrium
@@ -302,10 +303,11 @@ def load_scene(source: SceneLike, overrides: Mapping[str, Any] | None = None) ->
     else:
         given, origin = read_parameter_file(source), str(source)
     values = {**DEFAULTS, **check(given, origin), **check(flatten(overrides or {}), 'override')}
-    doubts = find_implausible(values)
+    scene = scene_from(values)
+    doubts = find_implausible(scene.values)
     if doubts:
         warn(doubts)
-    return scene_from(values)
+    return scene
 
 
 def scene_from(values: Mapping[str, Any]) -> Scene:
@@ -453,9 +455,14 @@ _SECTION = [(field.name, f'arm.{name}' if name in _OF_MATERIAL else f'arm.sectio
             for name in [field.name.removeprefix('measured_')]]
 
 
+def _profiles(values):
+    # The fields of a Section that vary along the arm, with their values.
+    return {field: values[profile] for field, _, profile in _SECTION if values.get(profile)}
+
+
 def _arm(values):
     section = {field: values[name] for field, name, _ in _SECTION}
-    profiles = {field: values[profile] for field, _, profile in _SECTION if values.get(profile)}
+    profiles = _profiles(values)
     length, positions = values['arm.length'], values['arm.profile.position']
     if not positions and not profiles:
         _check_section(values)
@@ -467,7 +474,8 @@ def _arm(values):
     _same_length({'arm.profile.position': positions, **{
         profile: values[profile] for _, _, profile in _SECTION if values.get(profile)}})
     _check_section(values)
-    return Beam(length, Section(**{**section, **profiles}), positions)
+    positions, varying, _ = thinned(positions, tuple(profiles.values()))
+    return Beam(length, Section(**{**section, **dict(zip(profiles, varying))}), positions)
 
 
 def _each(values, name):
@@ -650,7 +658,11 @@ def check_finite(scene: Scene) -> None:
 
 
 def find_implausible(values: Mapping[str, Any]) -> str | None:
-    """Return a warning about implausible values, which marks those that are defaults, or None."""
+    """
+    Return a warning about implausible values of a scene, or None.
+
+    It marks those that are defaults, and says what is left out of a profile of many places.
+    """
     each = partial(_each, values)
 
     def shown(name):
@@ -685,6 +697,11 @@ def find_implausible(values: Mapping[str, Any]) -> str | None:
     if values['arm.length'] < _MIN_SLENDERNESS * height:
         found.append(f'arm.length = {values["arm.length"]:g} m is less than '
                      f'{_MIN_SLENDERNESS:g} times arm.section.height = {height:g} m')
+    places = values['arm.profile.position']
+    kept, _, change = thinned(places, tuple(_profiles(values).values()))
+    if change > SAME_PROFILE:
+        found.append(f'arm.profile.position has {len(places)} places, of which the model has '
+                     f'{len(kept)}, with values within {100.0 * change:.2g} % of those given')
     angle = values['initial.shaft']
     if abs(angle) > 2.0 * math.pi:
         found.append(f'initial.shaft = {angle:g} rad is more than a turn; in degrees it would be '
