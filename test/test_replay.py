@@ -422,3 +422,25 @@ def test_bad_input_is_one_line_and_code_2(log):
     for settings, words in BAD_INPUT:
         text = call('replay', log, *settings, code=2)
         assert words in text and text.count('\n') == 1
+
+
+def forged(log, before, after):
+    """Exchange bytes of a log's notes, and let its data section have no checksum."""
+    content = log.read_bytes()
+    assert before in content and len(before) == len(after)
+    end = content.rindex(bytes([Opcode.DATA_END]) + struct.pack('<Q', 4))
+    content = content[:end + 9] + bytes(4) + content[end + 13:]
+    log.write_bytes(content.replace(before, after))
+    return log
+
+
+def test_a_log_whose_scene_has_other_modes_than_its_messages_is_refused(tmp_path):
+    log = timo_sim.simulate('paper', 0.01).save(tmp_path / 'run.mcap')
+    with pytest.raises(LogError, match='has 3 modal coordinates, but its scene has 5'):
+        timo_sim.open_log(forged(log, b'"model.modes": 3', b'"model.modes": 5'))
+
+
+def test_replay_prints_no_control_characters_of_a_log(log):
+    version = np.__version__.encode()
+    text = call('replay', forged(log, version, b'\x1b[2J'.ljust(len(version), b'x')))
+    assert '[2J' in text and '\x1b' not in text

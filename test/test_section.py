@@ -188,3 +188,36 @@ def test_sections_that_cannot_be_are_refused(section, message):
     with pytest.raises(timo_sim.ParameterError, match=f'arm.section.{message}'):
         timo_sim.load_scene({}, {'arm.section': section, **(
             {'arm.section.height': 0.02} if section == {'height': 0.01} else {})})
+
+
+def profiled(positions, heights):
+    """Return the model of an arm of 1 m with heights at positions."""
+    return timo_sim.load_scene({'arm': {
+        'length': 1.0, 'section': {'width': WIDTH, 'height': HEIGHT}, 'density': 2700.0,
+        'young_modulus': 7e10, 'shear_modulus': 2.6e10, 'profile': {
+            'position': positions, 'height': heights}}}).build()
+
+
+# A kink and a jump, and where they are.
+PLACES, HEIGHTS = np.array([0.0, 0.3, 0.6, 0.6, 1.0]), np.array([0.04, 0.03, 0.035, 0.02, 0.01])
+
+
+def test_a_profile_that_is_sampled_500_times_has_the_modes_of_its_kinks_and_jumps():
+    fine = np.sort(np.concatenate([np.linspace(0.0, 1.0, 495), PLACES[1:4]]))
+    heights = np.interp(fine, PLACES, HEIGHTS)
+    heights[np.searchsorted(fine, 0.6)] = HEIGHTS[2]
+    sampled, exact = profiled(fine.tolist(), heights.tolist()), profiled(PLACES, HEIGHTS)
+    # To 1e-7 of the heights and therefore of the frequencies.
+    assert sampled.modes.omega == pytest.approx(exact.modes.omega, rel=1e-7)
+
+
+@pytest.mark.parametrize('count', [500, 100_000])
+def test_a_profile_of_many_places_is_thinned_and_says_by_how_much(count):
+    """Noise of one per cent, whose mean is that of an even arm, with as many nodes as it needs."""
+    noise = 0.01 * np.random.default_rng(1).standard_normal(count)
+    with pytest.warns(timo_sim.ModelWarning, match=f'{count} places, of which .* within [234]'):
+        model = profiled(np.linspace(0.0, 1.0, count).tolist(), (0.02 * (1.0 + noise)).tolist())
+    assert len(model.quadrature.nodes) <= 4 * 49  # four in each span between 50 places
+    # The mean of 500 numbers deviates by 0.01 / sqrt(500); frequencies go with the height.
+    even = profiled([0.0, 1.0], [0.02, 0.02])
+    assert model.modes.omega == pytest.approx(even.modes.omega, rel=3.0 * 0.01 / np.sqrt(500))

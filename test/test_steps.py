@@ -198,3 +198,14 @@ def test_no_step_is_computed_at_rest(monkeypatch):
 def test_scenes_that_move_now_or_later_are_computed(moving):
     motion = timo_sim.simulate(timo_sim.load_scene(moving), 1.0).values
     assert not np.array_equal(motion[0], motion[-1])
+
+
+def test_memory_of_commands_that_a_caller_frees_is_not_read():
+    simulator, other = (timo_sim.Simulator('paper') for _ in range(2))
+    commanded = np.zeros(LOADS)
+    for torque in 1.0, -2.0:
+        commanded[TORQUE] = torque
+        simulator.advance(1, commanded)
+        assert np.array_equal(simulator.motion.values, other.step(torque=torque).values)
+        commanded.resize(10**6, refcheck=False)  # this frees what was passed
+        commanded.resize(LOADS, refcheck=False)

@@ -171,6 +171,7 @@ BAD_FILES = [
     ({'grid': {'model.modes': 3}}, 'grid: model.modes must be a list of values, got 3'),
     ({'random': {'seed': 1}}, "random must have seed, count and ranges, got ['seed']"),
     ({'random': {**RANDOM, 'ranges': {'end_effector.mass': [5.0, 0.5]}}}, 'in ascending order'),
+    ({'random': {**RANDOM, 'ranges': {'motor.torque_limit': [1.0, np.inf]}}}, 'finite ends'),
     ({'random': {**RANDOM, 'ranges': {'arm.length': [1.0] * 99}}}, 'a lower and an upper end'),
     ({'random': {**RANDOM, 'ranges': {'model.modes': [1.5, 3]}}}, 'model.modes must be a whole')
 ]

@@ -20,6 +20,7 @@ from timo_sim.model.layout import FORCE_X, FORCE_Y, LOADS, rotate, TORQUE
 from timo_sim.scene.parameters import Parameter, ParameterError, short, whole_ratio
 from timo_sim.scene.scene import load_scene, SceneLike
 from timo_sim.simulation.batch import Batch
+from timo_sim.simulation.simulator import Stateful
 
 with optional():
     import gymnasium
@@ -39,7 +40,7 @@ _FARTHEST_GOAL = Parameter('farthest_goal', 1.0, 'rad', 'largest angle to a goal
 _SPEED, _EFFORT = 0.1, 0.01  # what speed [s] and squared action [rad] cost beside a distance
 
 
-class ReachVectorEnv(VectorEnv):
+class ReachVectorEnv(Stateful, VectorEnv):
     """
     Manipulators whose tips should point to goals as soon as possible, and rest there.
 
@@ -224,7 +225,7 @@ class ReachVectorEnv(VectorEnv):
         return np.array(found, dtype=np.float32).T.copy()
 
 
-class ReachEnv(gymnasium.Env):
+class ReachEnv(Stateful, gymnasium.Env):
     """
     A `ReachVectorEnv` of one manipulator; many are much faster as one `ReachVectorEnv`.
 

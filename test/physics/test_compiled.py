@@ -179,10 +179,13 @@ def test_what_machine_code_would_misread_is_refused(own_store):
         with pytest.raises(ValueError, match='compiled code needs'):
             call(wrong, out)
     again = np.ones(8)
-    for number in range(3):  # it is checked once, but its numbers are read each time
+    for number in range(3):  # its numbers are read each time
         again[:] = number
         call(again, out)
         assert out == pytest.approx(expected(toy, again))
+    again.resize(10**6, refcheck=False)  # the memory that was passed is free now
+    with pytest.raises(ValueError, match='compiled code needs'):
+        call(again, out)
     lanes, groups = np.ones((1, 8, WIDTH)), _alike.of(pack(toy))
     for wrong in (lanes[0], lanes[:, :7].copy(), lanes[:, :, :1].copy()):
         with pytest.raises(ValueError, match='compiled code needs float64 of shape'):

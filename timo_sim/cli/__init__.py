@@ -79,7 +79,8 @@ class _Command(click.Command):
                 code = 2
             elif not isinstance(error, (ImportError, MemoryError, OSError)):
                 raise
-        click.echo('timo_sim: ' + ' '.join(text.split()), err=True)
+        text = ''.join(char if char.isprintable() else ' ' for char in ' '.join(text.split()))
+        click.echo(f'timo_sim: {text}', err=True)  # what files contain rules no terminal
         sys.exit(code)
 
 

@@ -93,6 +93,7 @@ class Packed:
 
     def __init__(self, fields: Any, lanes: bool, pad: bool, sizes: dict[str, int]) -> None:
         self.kind: Any = type(fields)
+        self._lanes = lanes
         kind: Any = self.kind
         described = fields_of(kind)
         values = [np.asarray(value, dtype=np.int64 if field.whole else float)
@@ -119,6 +120,13 @@ class Packed:
                 view[... if value.shape == shape else tuple(map(slice, value.shape))] = value
             self.views[field.name] = view
         self.place = (ctypes.c_char * 0).from_buffer(self.memory.data)
+
+    def __reduce__(self):
+        values = [np.repeat(view, WIDTH, 0) if field.whole else np.moveaxis(view, -1, 1).reshape(
+            self.groups * WIDTH, *view.shape[1:-1]) for field, view in zip(
+                fields_of(self.kind), self.views.values())] if self._lanes else (
+                    self.views.values())
+        return Packed, (self.kind._make(values), self._lanes, False, self.sizes)
 
     def __getattr__(self, name: str) -> np.ndarray:
         """Return a field as an array."""

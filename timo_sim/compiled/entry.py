@@ -40,14 +40,17 @@ class EntryPoint(Function):
         if key not in self._known:
             self._known[key] = _Code(machine.load(self, constants)), self._wanted(constants)
         code, wanted = self._known[key]
-        return Call(code, wanted, constants)
+        return Call(self, code, wanted, constants)
 
     def _wanted(self, constants):
-        """Return for each argument the function that returns what passes it."""
+        """Return for each argument the function that returns what passes it; whether once."""
         sizes = {name: size for each in constants for name, size in each.sizes.items()}
-        return [_NUMBERS.get(given) or partial(
+        return [(_NUMBERS[given], True) if given in _NUMBERS else (partial(
             _place, tuple(sizes.get(dim, dim) for dim in given.dims) + given.lanes * (WIDTH,),
-            np.dtype(np.int64 if given.whole else float)) for given in self._arrays]
+            np.dtype(np.int64 if given.whole else float)), given.own) for given in self._arrays]
+
+    def __reduce__(self):
+        return self.name.rpartition('.')[2]  # its module has it
 
     def __call__(self, *args: Any) -> Any:
         """Call the machine code; `of` is faster where constants stay the same."""
@@ -69,11 +72,15 @@ _SHORT = 2**16  # longest array that a Call keeps in memory [B]
 class Call:
     """A function of machine code with its constants; called with the other arguments."""
 
-    def __init__(self, code: Any, wanted: list[Any], constants: tuple[Packed, ...]) -> None:
-        self._code, self._wanted, self._constants = code, wanted, constants
+    def __init__(self, entry: EntryPoint, code: Any, wanted: list[Any],
+                 constants: tuple[Packed, ...]) -> None:
+        self._entry, self._code, self._wanted, self._constants = entry, code, wanted, constants
         self._places = [each.place for each in constants]
         # Arguments of a call, and what they were passed as: the same need no check again.
         self._last: tuple[list[Any], list[Any]] = [_Code] * len(wanted), [None] * len(wanted)
+
+    def __reduce__(self):
+        return self._entry.of, self._constants
 
     def __call__(self, *args: Any) -> int:
         """Call the machine code; ValueError if an array is not of the shape or type it reads."""
@@ -84,13 +91,15 @@ class Call:
 
     def _check(self, args):
         """Return what passes the arguments."""
-        (values, places), short = map(list, self._last), True
-        for k, (value, last, place) in enumerate(zip(args, values, self._wanted, strict=True)):
+        values, kept = map(list, self._last)
+        places = [*kept]
+        for k, (value, last, (place, once)) in enumerate(
+                zip(args, values, self._wanted, strict=True)):
             if value is not last:
-                values[k], places[k] = value, place(value)
-                short = short and getattr(value, 'nbytes', 0) <= _SHORT
-        if short:
-            self._last = values, places
+                places[k] = place(value)
+                if once and getattr(value, 'nbytes', 0) <= _SHORT:
+                    values[k], kept[k] = value, places[k]
+        self._last = values, kept
         return places
 
 

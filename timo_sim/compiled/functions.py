@@ -64,6 +64,9 @@ class Array(NamedTuple):
     dims: tuple[int | str | None, ...]
     lanes: bool = False  # whether lanes are one more axis, the last
     whole: bool = False  # whether its numbers are whole, of 64 bits
+    # Whether callers give no other code a reference, with which its memory could be freed: then
+    # the same array is checked once.
+    own: bool = False
 
 
 class Constants(NamedTuple):

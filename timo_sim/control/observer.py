@@ -19,7 +19,7 @@ from timo_sim.scene.parameters import Parameter, ParameterError, short, warn, wh
 from timo_sim.scene.scene import load_scene, SceneLike
 from timo_sim.simulation.derivatives import unit_loads, why_not_differentiable
 from timo_sim.simulation.loads import ARGUMENTS, check_arguments
-from timo_sim.simulation.simulator import Simulator
+from timo_sim.simulation.simulator import Simulator, Stateful
 from timo_sim.simulation.snapshot import Joints, variance
 from timo_sim.simulation.warnings import DivergenceError
 from timo_sim.topics.outputs import SENSORS
@@ -39,7 +39,7 @@ _DT = Parameter('dt', 0.0, 's', '', low=0.0)
 _PAIR = Parameter('deviation and correlation time of a disturbance', (), '', '', low=0.0)
 
 
-class Observer(PointsOfArm):
+class Observer(Stateful, PointsOfArm):
     """
     An extended Kalman filter that estimates the motion of an arm from what its sensors show.
 
@@ -98,7 +98,7 @@ class Observer(PointsOfArm):
         scene = load_scene(scene)
         if reason := why_not_differentiable(scene):
             raise ParameterError(reason)
-        self._values, model = scene.values, scene.build()
+        self._values, model = dict(scene.values), scene.build()
         noisy = [name for name in _SENSORS if variance(scene.values, name)]
         self.sensors = tuple(noisy if sensors is None else sensors)
         for name in self.sensors:

@@ -314,7 +314,7 @@ class Fit(Prediction):
 
 
 _HOLD_OUT = Parameter('hold_out', 0.0, '', '', low=0.0, high=0.95)
-_STARTS = Parameter('starts', 1, '', '', low=1)
+_STARTS = Parameter('starts', 1, '', '', low=1, high=1_000_000)
 _WINDOW = Parameter('window', 1.0, 's', '', low=0.0, open_low=True)
 _TIME = Parameter('time', 1.0, 's', '', low=0.0, open_low=True)
 

@@ -94,6 +94,9 @@ class Search:
         self.others: list[dict[str, float]] = []
         self.tried = 1
 
+    def __getstate__(self):
+        return {**vars(self), '_tell': None}  # a copy, as that of a Fit, searches no more
+
     def run(self, starts: int | None) -> None:
         """
         Find x and the standard deviations of the sensors; `starts` is as for `fit`.

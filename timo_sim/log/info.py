@@ -8,7 +8,7 @@ from pathlib import Path
 from textwrap import wrap
 
 from timo_sim.log.read import LogFile
-from timo_sim.log.write import ENVIRONMENT, in_wall_time
+from timo_sim.log.write import ENVIRONMENT, in_wall_time, plain
 from timo_sim.topics.outputs import NANOSECONDS
 
 _IN_A_LINE = 4  # counters
@@ -23,8 +23,7 @@ def info(file: Path | str) -> list[str]:
     if notes.facts:
         lines += _about_run(log, notes)
     lines += _about_topics(log.summary)
-    # Texts of the file may hold anything, such as control sequences of a terminal.
-    return [''.join(char if char.isprintable() else ' ' for char in line[:200]) for line in lines]
+    return [plain(line[:200]) for line in lines]
 
 
 def _about_run(log, notes):

@@ -256,6 +256,9 @@ class Recording:
             raise self.lacks(f'modal_state of {self.name}')
         else:
             first, motion = slice(None), joints.values[:, :6]
+        if motion.shape[1] != 2 * (3 + self.scene.modal_count):
+            raise LogError(f'{self.title} has {motion.shape[1] // 2 - 3} modal coordinates, but '
+                           f'its scene has {self.scene.modal_count}')
         if not len(motion):
             raise self.lacks('joint_states with a modal_state of the same time: choose rates of '
                              'which one is a multiple of the other')

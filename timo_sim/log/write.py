@@ -142,6 +142,11 @@ def printable(path: Path | str) -> str:
     return os.fsencode(path).decode(errors='replace')
 
 
+def plain(text: str) -> str:
+    """Return a text of a file without control characters, which a terminal would obey."""
+    return ''.join(char if char.isprintable() else ' ' for char in text)
+
+
 class Chunk:
     """Messages to be compressed together; by channel flat lists of times [ns] and positions."""
 

@@ -3,6 +3,7 @@
 
 """The bodies of the manipulator, constants of the equations that follow from them, quadrature."""
 
+from bisect import insort
 from dataclasses import dataclass, fields
 import functools
 import math
@@ -172,6 +173,44 @@ class Beam:
             if np.ndim(value):
                 values[name] = np.interp(xi, self.positions, value)
         return Section(**values)
+
+
+MOST_PLACES = 50  # of a profile; more would cost much and change frequencies by some 1e-6
+SAME_PROFILE = 1e-7  # relative difference of profiles that counts as none
+
+
+@functools.lru_cache(maxsize=8)
+def thinned(positions: tuple, profiles: tuple) -> tuple[tuple, tuple, float]:
+    """
+    Return at most MOST_PLACES positions of profiles, their values there, and what that changes.
+
+    That is the largest relative difference from a value given. Positions ascend, one given twice
+    is a jump; each of `profiles` has a value > 0 for each. The positions are those at which linear
+    interpolation between earlier ones differs most, so that jumps and kinks stay; the values are
+    those of least squares, so that noise is averaged.
+    """
+    if len(positions) <= MOST_PLACES:
+        return positions, profiles, 0.0
+    x, given, number = np.array(positions), np.array(profiles).T, np.arange(len(positions))
+    chosen, furthest = [0, len(x) - 1], 0
+    while True:
+        begin = np.clip(np.searchsorted(chosen, number, 'right') - 1, 0, len(chosen) - 2)
+        low, high = np.array(chosen)[[begin, begin + 1]]
+        share = ((x - x[low]) / np.maximum(x[high] - x[low], np.finfo(float).tiny))[:, np.newaxis]
+        distance = np.abs(given[low] * (1.0 - share) + given[high] * share - given) / given
+        furthest = int(distance.max(axis=1).argmax())
+        if distance[furthest].max() < SAME_PROFILE or len(chosen) == MOST_PLACES:
+            break
+        insort(chosen, furthest)
+    shape = np.zeros((len(x), len(chosen)))
+    shape[number, begin], shape[number, begin + 1] = 1.0 - share[:, 0], share[:, 0]
+    # What a value stands for is half of the way to its neighbours, or nearly nothing at jumps.
+    length = np.convolve(np.diff(x), [0.5, 0.5]) + 1e-9 * x[-1] / len(x)
+    values = np.linalg.solve(shape.T @ (shape * length[:, np.newaxis]),
+                             shape.T @ (given * length[:, np.newaxis]))
+    values = np.clip(values, given.min(axis=0), given.max(axis=0))
+    change = np.abs(shape @ values - given) / given
+    return tuple(x[chosen].tolist()), tuple(map(tuple, values.T.tolist())), float(change.max())
 
 
 class Gear(NamedTuple):

@@ -133,6 +133,12 @@ class Formulation(ABC):
         self.tables, self.linear = self.build()
         self._linear_parts: dict[float, dict[int | None, Any]] = {}
 
+    def __getstate__(self):
+        return {**vars(self), '_linear_parts': {}}
+
+    def __deepcopy__(self, memo):
+        return self  # it does not change
+
     @property
     def driven_turns(self) -> np.ndarray:
         """Places of carrier and rotor, on which commands act, per coordinate, (3 + N, 3)."""

@@ -17,7 +17,7 @@ from tqdm import tqdm
 
 from timo_sim.log.read import LogError
 from timo_sim.log.tables import Recording
-from timo_sim.log.write import CHANGE, change_note, NewLog, environment_differences, RESET
+from timo_sim.log.write import CHANGE, change_note, NewLog, environment_differences, plain, RESET
 from timo_sim.runs.simulate import resolve
 from timo_sim.runs.run import Run
 from timo_sim.scene.parameters import (
@@ -84,6 +84,9 @@ def replay(file: str | Path, changes: Mapping[str, Any] | None = None,
     file is not a log, is damaged, or has nothing to replay; ParameterError if a value breaks its
     rule, a plain bag has no scene, or steps do not fit the log.
     """
+    def say(text):
+        show(plain(text))
+
     recording = Recording(file, node)
     values = _values(recording, scene_file, changes or {})
     if not recording.facts:
@@ -107,33 +110,33 @@ def replay(file: str | Path, changes: Mapping[str, Any] | None = None,
     finally:
         if log:
             log.close()
-    _report(show, recording, segments, again, time.monotonic() - begun)
+    _report(say, recording, segments, again, time.monotonic() - begun)
     if recording.facts.get('log', '1') == '1':
         _without_loads_at_start(segments, scene)
     count, differing, found = _compare(segments, scene, recording)
     repeats = same and recording.repeats
     logged = _count_logged(segments, scene, recording)
-    show(f'{count} of {logged} logged numbers compared' + (
+    say(f'{count} of {logged} logged numbers compared' + (
         '' if not same else f': {differing} differ' if differing else
         ': all are the same to the last bit' if count == logged and not recording.unread else
         ', the same to the last bit'))
     for text in recording.unread.values():
-        show(text)
+        say(text)
     if found and not (same and not differing):
         if not same and (scene.values['model.formulation']
                          != recording.scene.values['model.formulation']):
             # Formulations have different modes, so that modal coordinates cannot be compared.
             found = [row for row in found if not row[0].startswith('modal_state')]
-        _show_table(show, found)
+        _show_table(say, found)
     ground = environment_differences(recording.facts)
     if ground:
-        show(f'logged with {ground}: last bits may differ')
+        say(f'logged with {ground}: last bits may differ')
     if same and differing and not repeats:
-        show('a bag does not say at which step a command began to act, but in lock step')
+        say('a bag does not say at which step a command began to act, but in lock step')
     if log:
-        show(f'new log: {log.path}')
+        say(f'new log: {log.path}')
     if again.diverged:
-        show(again.diverged)
+        say(again.diverged)
     return not (again.diverged or repeats and (differing or count < logged or recording.unread))
 
 

@@ -482,9 +482,11 @@ def _random(given):
             raise ParameterError(
                 f'random: {short(name, str)} must have a lower and an upper end, numbers or lists '
                 f'of equal length, got {short(ends)}') from None
-        if not np.all(low <= high):
-            raise ParameterError(f'random: {short(name, str)} must have ends in ascending order, '
-                                 f'got {short(ends)}')
+        with np.errstate(over='ignore', invalid='ignore'):
+            finite = np.isfinite(high - low).all()
+        if not (finite and np.all(low <= high)):
+            raise ParameterError(f'random: {short(name, str)} must have finite ends in ascending '
+                                 f'order, got {short(ends)}')
         for end in ends:
             _check_values('random', {name: end})
 

@@ -19,7 +19,8 @@ from typing import Any
 import numpy as np
 
 from timo_sim.model import formulation_class
-from timo_sim.model.bodies import Beam, Constraints, Gear, Manipulator, Section
+from timo_sim.model.bodies import (
+    Beam, Constraints, Gear, Manipulator, SAME_PROFILE, Section, thinned)
 from timo_sim.model.formulation import Formulation
 from timo_sim.model.layout import AFTER, ANGLE, INPUTS, SPEED, START
 from timo_sim.model.modes import compliance, modes_of
@@ -539,9 +540,14 @@ _SECTION = [(field.name, f'arm.{name}' if name in _OF_MATERIAL else f'arm.sectio
             for name in [field.name.removeprefix('measured_')]]
 
 
+def _profiles(values):
+    # The fields of a Section that vary along the arm, with their values.
+    return {field: values[profile] for field, _, profile in _SECTION if values.get(profile)}
+
+
 def _arm(values):
     section = {field: values[name] for field, name, _ in _SECTION}
-    profiles = {field: values[profile] for field, _, profile in _SECTION if values.get(profile)}
+    profiles = _profiles(values)
     length, positions = values['arm.length'], values['arm.profile.position']
     _leave_out(values, section, profiles)
     if not positions and not profiles:
@@ -554,7 +560,8 @@ def _arm(values):
     _same_length({'arm.profile.position': positions, **{
         profile: values[profile] for _, _, profile in _SECTION if values.get(profile)}})
     _check_section(values)
-    return Beam(length, Section(**{**section, **profiles}), positions)
+    positions, varying, _ = thinned(positions, tuple(profiles.values()))
+    return Beam(length, Section(**{**section, **dict(zip(profiles, varying))}), positions)
 
 
 # What bending stiffness and mass per length may be measured without; numbers that stand for its
@@ -785,7 +792,11 @@ def check_finite(scene: Scene) -> None:
 
 
 def find_implausible(values: Mapping[str, Any]) -> str | None:
-    """Return a warning about implausible values, which marks those that are defaults, or None."""
+    """
+    Return a warning about implausible values of a scene, or None.
+
+    It marks those that are defaults, and says what is left out of a profile of many places.
+    """
     each = partial(_each, values)
 
     def shown(name):
@@ -820,6 +831,13 @@ def find_implausible(values: Mapping[str, Any]) -> str | None:
     if values['arm.length'] < _MIN_SLENDERNESS * height:
         found.append(f'arm.length = {values["arm.length"]:g} m is less than '
                      f'{_MIN_SLENDERNESS:g} times arm.section.height = {height:g} m')
+    places, *profiles = (tuple(each) for each in (
+        values['arm.profile.position'], *_profiles(values).values()))
+    kept, _, change = thinned(places, tuple(each for each in profiles
+                                            if len(each) == len(places)))
+    if change > SAME_PROFILE:
+        found.append(f'arm.profile.position has {len(places)} places, of which the model has '
+                     f'{len(kept)}, with values within {100.0 * change:.2g} % of those given')
     angle = values['initial.shaft']
     if abs(angle) > 2.0 * math.pi:
         found.append(f'initial.shaft = {angle:g} rad is more than a turn; in degrees it would be '

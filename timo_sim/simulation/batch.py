@@ -18,7 +18,7 @@ from timo_sim.scene.parameters import Parameter, ParameterError, steps_in
 from timo_sim.scene.scene import (
     load_scene, motor_constants, Scene, scene_from, SceneLike)
 from timo_sim.simulation.loads import Actuators, commanded_load, limits_of
-from timo_sim.simulation.simulator import COUNT, MOST_BENT, new_lock, SAMPLE_EVERY
+from timo_sim.simulation.simulator import COUNT, MOST_BENT, SAMPLE_EVERY, Stateful
 from timo_sim.simulation.warnings import divergence, unseen_load
 from timo_sim.steps.lanes import from_lanes, LaneSteps, to_lanes
 from timo_sim.steps.steps import CHUNK, NO_LOADS
@@ -112,7 +112,7 @@ _COUNT = Parameter('n', 1, '', 'number of manipulators', low=1)
 _MAX_NUMBERS = 2**22  # most numbers that the loads of a call to compiled code take
 
 
-class Batch:
+class Batch(Stateful):
     """
     Many manipulators of one size, each with its own loads, commands and state, advanced together.
 
@@ -164,7 +164,7 @@ class Batch:
             self.scenes = [load_scene(scenes)] * (1 if n is None else _COUNT.check(n))
         if not self.scenes:
             raise ParameterError('scenes must have at least one element, got none')
-        self.n, self._lock = len(self.scenes), new_lock()
+        self.n = len(self.scenes)
         self.scenes = _with_equal_shapes(self.scenes)
         _check(self.scenes)
         self._models = [scene.build() for scene in self.scenes]

@@ -101,7 +101,7 @@ class Actuators:
         self.packed = pack(steps_loads.Actuators(
             values['integrator.step'], motor_constants(values)[0], limit, rate, np.zeros(LOADS),
             np.zeros(LOADS), np.array([first])))
-        self.slow = np.flatnonzero(np.isfinite(rate))
+        self.slow, self._commanded = np.flatnonzero(np.isfinite(rate)), np.zeros(LOADS)
 
     def warm_up(self) -> None:
         """Compile, or load from disk, what loads and commands of all kinds need."""
@@ -123,7 +123,8 @@ class Actuators:
 
     def add(self, commanded: np.ndarray, first: int, loads: np.ndarray) -> None:
         """Add what acts of commands from step `first` on to loads of steps, (count, 4, LOADS)."""
-        self._add(commanded, first, len(loads), loads)
+        self._commanded[:] = commanded  # callers may free the memory of theirs
+        self._add(self._commanded, first, len(loads), loads)
 
 
 _AHEAD = 256  # least number of steps that are tabulated at once

@@ -6,6 +6,7 @@
 from __future__ import annotations
 
 from collections.abc import Callable, Sequence
+from copy import deepcopy
 from dataclasses import replace
 from itertools import groupby
 import math
@@ -83,7 +84,22 @@ class _Call(NamedTuple):
             None if self.commanded is None else self.commanded.tobytes())
 
 
-class Simulator(PointsOfArm):
+class Stateful:
+    """What has a state: each copy, by `copy` or `pickle`, has its own; threads take turns."""
+
+    _lock: Any
+
+    def __new__(cls, *args, **keywords):
+        made = super().__new__(cls)
+        made._lock = new_lock()  # a diverged advance calls another
+        return made
+
+    def __getstate__(self):
+        with self._lock:
+            return deepcopy({name: each for name, each in vars(self).items() if name != '_lock'})
+
+
+class Simulator(Stateful, PointsOfArm):
     """
     A scene at a certain time step, advanced by the node, `simulate` or a controller's loop.
 
@@ -119,7 +135,6 @@ class Simulator(PointsOfArm):
 
     def __init__(self, scene: SceneLike, estimate: bool = False) -> None:
         self.steps, scene = 0, load_scene(scene)
-        self._lock = new_lock()  # threads take turns; a diverged advance calls another
         self._first_body, self.tip_load = scene.manipulator, TipLoad(tip_of(scene))
         self._take(scene, scene.build())
         self._ends = self.integration.samples(1, 1)[1:]  # room for the samples of `step`

@@ -189,9 +189,9 @@ def _one_step(propagator, tables, start, middle, end, work):
     add_product(propagator.end_weight, work.rate_c, following)
 
 
-@entry_point(tables=Constants(), propagator=Constants(), state=Array(('state',)),
-             load=Array((LOADS,)), loads=Array((None, STEP_LOADS, LOADS)), count=int,
-             sample_every=int, since=int, samples=Array((None, 'motion')))
+@entry_point(tables=Constants(), propagator=Constants(), state=Array(('state',), own=True),
+             load=Array((LOADS,), own=True), loads=Array((None, STEP_LOADS, LOADS), own=True),
+             count=int, sample_every=int, since=int, samples=Array((None, 'motion'), own=True))
 def advance(tables, propagator, state, load, loads, count, sample_every, since, samples):
     """
     Integrate over `count` equal steps, as long as the linear part of the tables is valid.

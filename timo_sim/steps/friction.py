@@ -77,6 +77,9 @@ class FrictionSteps(Steps):
         self.memory = np.zeros(MEMORY)
         self._advance: dict[int, Call] = {}
 
+    def __getstate__(self):
+        return {**super().__getstate__(), '_advance': {}}
+
     def _run(self, part, state, load, loads, samples, since):
         if id(part) not in self._advance:  # the model keeps its parts
             self._advance[id(part)] = advance.of(*part.constants, self.joints)
@@ -322,9 +325,10 @@ def _add_heat(joints, motion, trial, memory):
 
 
 @entry_point(tables=Constants(), propagator=Constants(), joints=Constants(),
-             memory=Array((MEMORY,)), state=Array(('state',)), load=Array((LOADS,)),
-             loads=Array((None, STEP_LOADS, LOADS)), count=int, sample_every=int, since=int,
-             samples=Array((None, 'motion')), heat=Array((None,)))
+             memory=Array((MEMORY,), own=True), state=Array(('state',), own=True),
+             load=Array((LOADS,), own=True), loads=Array((None, STEP_LOADS, LOADS), own=True),
+             count=int, sample_every=int, since=int, samples=Array((None, 'motion'), own=True),
+             heat=Array((None,), own=True))
 def advance(tables, propagator, joints, memory, state, load, loads, count, sample_every, since,
             samples, heat):
     """

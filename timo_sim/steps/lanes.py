@@ -43,9 +43,8 @@ class LaneSteps:
     run whose arm is bent by more than `bend_limit` arm lengths counts as diverged.
 
     Arrays have the shape (groups, ..., WIDTH): `state`, m numbers; `progress`, whether a lane is
-    alive, 1 or 0, and how many steps it has done; `constant_load`, LOADS, what of loads does not
-    vary within a call; at the end of the last call `motion`, 2 (3 + N), and `tip`, 3, what
-    `model.functions.tip` returns.
+    alive, 1 or 0, and how many steps it has done; at the end of the last call `motion`,
+    2 (3 + N), and `tip`, 3, what `model.functions.tip` returns.
     """
 
     def __init__(self, models: list[Formulation], step: float, bend_limit: float) -> None:
@@ -68,11 +67,16 @@ class LaneSteps:
             np.array([model.tip_travel[3:] for model in padded]),
             np.array([[bend_limit * model.manipulator.arm.length] for model in padded]),
             np.zeros((lanes, size))))
-        self.groups, self.constant_load = groups, lane_constants.constant_load
-        self._entry, self._constants = entry, (tables, matrices, lane_constants)
+        self.groups, self._entry = groups, entry
+        self._constants = tables, matrices, lane_constants
         self.state = np.zeros((groups, len(models[0].linear), WIDTH))
         self.progress, self.motion = np.ones((groups, 2, WIDTH)), np.zeros((groups, size, WIDTH))
         self.tip, self.progress[:, 1] = np.zeros((groups, 3, WIDTH)), 0.0
+
+    @property
+    def constant_load(self) -> np.ndarray:
+        """What of loads does not vary within a call, (groups, LOADS, WIDTH)."""
+        return self._constants[2].constant_load
 
     @cached_property
     def _advance(self):
@@ -199,10 +203,13 @@ def advance(tables, propagator, lane, columns, count, varying, steps, state, pro
 # For lanes with the same packed constants, and for lanes each with its own.
 advance_alike, advance_each = (EntryPoint(advance, {
     'tables': Constants(form), 'propagator': Constants(form), 'lane': Constants('lanes'),
-    'columns': Array((None,), whole=True), 'count': int, 'varying': Array((None,), lanes=True),
-    'steps': int, 'state': Array((None, 'state'), lanes=True),
-    'progress': Array((None, 2), lanes=True), 'motion': Array((None, 'motion'), lanes=True),
-    'end_tip': Array((None, 3), lanes=True), 'groups': int, 'sample_every': int, 'since': int,
+    'columns': Array((None,), whole=True, own=True), 'count': int,
+    'varying': Array((None,), lanes=True), 'steps': int,
+    'state': Array((None, 'state'), lanes=True, own=True),
+    'progress': Array((None, 2), lanes=True, own=True),
+    'motion': Array((None, 'motion'), lanes=True, own=True),
+    'end_tip': Array((None, 3), lanes=True, own=True), 'groups': int,
+    'sample_every': int, 'since': int,
     'samples': Array((None, 'motion'), lanes=True), 'sample_rows': int,
     'tips': Array((None, 3), lanes=True), 'tip_rows': int}, name)
     for name, form in (('advance_alike', 'shared'), ('advance_each', 'lanes')))

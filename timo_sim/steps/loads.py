@@ -244,8 +244,8 @@ def _seen(stage, s):
 
 # Actuators.
 
-@entry_point(fast=False, actuators=Constants(), commanded=Array((LOADS,)), first=int, count=int,
-             out=Array((None, STEP_LOADS, LOADS)))
+@entry_point(fast=False, actuators=Constants(), commanded=Array((LOADS,), own=True), first=int,
+             count=int, out=Array((None, STEP_LOADS, LOADS), own=True))
 def add_commands(actuators, commanded, first, count, out):
     """Add what `Actuators` make of commands from step `first` on; it changes their goals."""
     changed = False

@@ -53,6 +53,12 @@ class Steps:
         self._parts = model.linear_parts(step)
         self._no_samples = Samples(0, np.empty((0, model.size)), np.zeros(0))
 
+    def __getstate__(self):
+        return {**vars(self), '_parts': None}
+
+    def __setstate__(self, state):
+        self.__dict__.update(state, _parts=state['model'].linear_parts(state['step']))
+
     def acting(self, load: np.ndarray) -> np.ndarray:
         """Return a load plus the dry friction at the end of the last step, shape (LOADS,)."""
         return load
