@@ -421,6 +421,9 @@ def test_wrong_arguments(tmp_path, monkeypatch):
         timo_sim.export_fmu('paper', path, 1)
     with pytest.raises(timo_sim.ParameterError, match='target must be .*, got .aarch64'):
         timo_sim.export_fmu('paper', path, target='aarch64')
+    for name in 'a\x01', 'a\nb', 'a\udc80':
+        with pytest.raises(timo_sim.ParameterError, match='name of the FMU must be printable'):
+            timo_sim.export_fmu('paper', tmp_path / f'{name}.fmu')
     monkeypatch.setenv('PATH', str(tmp_path))
     with pytest.raises(OSError, match='the C compiler cc, which is not on the PATH'):
         timo_sim.export_fmu('paper', path)
@@ -432,7 +435,7 @@ def test_command(tmp_path):
     found = CliRunner().invoke(main, [
         'export-fmu', 'paper', '-o', str(path), '--fmi', '2', '--set', 'arm.length=1.9',
         'motor.coulomb_friction=0.0', '--no-estimate', '--target', 'x86-64-v2'])
-    assert (found.exit_code, found.output) == (0, f'{path}\n')
+    assert (found.exit_code, found.stdout) == (0, f'{path}\n')
     assert validate_fmu(str(path)) == []
     description = fmpy.read_model_description(path)
     names = {each.name for each in description.modelVariables}
