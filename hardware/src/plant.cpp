@@ -4,9 +4,7 @@
 #include "plant.hpp"
 
 #include <dlfcn.h>
-#include <sys/file.h>
 
-#include <cerrno>
 #include <cmath>
 #include <cstring>
 #include <stdexcept>
@@ -72,7 +70,7 @@ Plant::Plant(const std::string & library)
 
 Plant::~Plant()
 {
-  close();
+  log_.reset();
   dlclose(library_);
 }
 
@@ -131,14 +129,20 @@ Plant::Reading Plant::reading(const std::string & text) const
 
 void Plant::start(const std::string & log_path)
 {
-  close();
+  if (log_) {
+    log_->close();
+    log_error_ = log_->error();
+    log_.reset();
+  }
   check(reset_(arm_));
   steps_ = 0;
   inputs_.assign(inputs_.size(), 0.0);
   logged_inputs_ = inputs_;
   check(get_outputs_(arm_, outputs_.data()));
   if (!log_path.empty()) {
-    open(log_path);
+    log_ = std::make_unique<Log>(log_path);
+    log_error_.clear();
+    log_->put(scene_->head, scene_->head_size);
     log(false);
   }
 }
@@ -172,26 +176,28 @@ void Plant::check(int code) const
   }
 }
 
-void Plant::open(const std::string & path)
+void Plant::note_offset(int64_t nanoseconds)
 {
-  const size_t dot = path.rfind(".mcap") == path.npos ? path.size() : path.rfind(".mcap");
-  log_path_ = path;
-  for (int number = 1; !(log_ = std::fopen(log_path_.c_str(), "wbx")) && errno == EEXIST; ++number)
-  {
-    log_path_ = path.substr(0, dot) + "_" + std::to_string(number) + path.substr(dot);
-  }
-  if (!log_) {
-    throw std::runtime_error("record_file " + path + ": " + std::strerror(errno));
-  }
-  flock(fileno(log_), LOCK_EX | LOCK_NB);  // other commands of timo_sim then know who writes it
-  put(scene_->head, scene_->head_size);
-}
-
-void Plant::close()
-{
+  const std::string name = "timo_sim.clock", key = "offset_ns";
+  const std::string value = std::to_string(nanoseconds);
+  std::vector<unsigned char> content;
+  const auto add_size = [&content](size_t size) {
+      content.resize(content.size() + 4);
+      write<uint32_t>(&content[content.size() - 4], size);
+    };
+  const auto add = [&](const std::string & text) {
+      add_size(text.size());
+      content.insert(content.end(), text.begin(), text.end());
+    };
+  add(name);
+  add_size(8 + key.size() + value.size());
+  add(key);
+  add(value);
+  unsigned char head[9] = {12};  // a record Metadata of MCAP
+  write<uint64_t>(head + 1, content.size());
+  content.insert(content.begin(), head, head + 9);
   if (log_) {
-    std::fclose(log_);
-    log_ = nullptr;
+    log_->put(content.data(), content.size());
   }
 }
 
@@ -222,18 +228,11 @@ void Plant::log(bool commanded)
         write<int32_t>(data + each.stamp, time / 1000000000);
         write<uint32_t>(data + each.stamp + 4, time % 1000000000);
       }
-      put(record, messages_[k].size());
+      log_->put(record, messages_[k].size());
     }
   }
   if (commanded) {
     logged_inputs_ = inputs_;
-  }
-}
-
-void Plant::put(const void * data, size_t size)
-{
-  if (std::fwrite(data, 1, size, log_) != size) {
-    throw std::runtime_error("log " + log_path_ + ": " + std::strerror(errno));
   }
 }
 

@@ -7,14 +7,16 @@
 #pragma once
 
 #include <cstdint>
-#include <cstdio>
+#include <memory>
 #include <string>
 #include <vector>
+
+#include "log.hpp"
 
 namespace timo_sim_hardware
 {
 
-// What the shared object has besides the functions of arm.h, see timo_sim/export/hardware.py.
+// What the shared object has besides the functions of arm.h, see timo_sim/runs/ros2_control.py.
 extern "C" {
 struct Field {int place; int number;};  // in a message [bytes], of an output or an input
 
@@ -42,6 +44,7 @@ class Plant
 public:
   explicit Plant(const std::string & library);
   Plant(const Plant &) = delete;
+  Plant & operator=(const Plant &) = delete;
   ~Plant();
 
   double time_step() const {return scene_->step;}
@@ -60,7 +63,11 @@ public:
   void step(int64_t count);
   double get(Reading reading) const;
   int64_t steps() const {return steps_;}
-  std::string log_path() const {return log_path_;}
+  std::string log_path() const {return log_ ? log_->path() : "";}
+  // Why the log, or the last one if there is none now, has ended early; empty if it has not.
+  std::string log_error() const {return log_ ? log_->error() : log_error_;}
+  // Note in the log how far a clock is ahead of its times.
+  void note_offset(int64_t nanoseconds);
 
 private:
   template<typename Function>
@@ -69,13 +76,10 @@ private:
   int find(
     const std::vector<std::string> & names, const std::string & name, const char * kind) const;
   void check(int code) const;
-  void open(const std::string & path);
-  void close();
   void log(bool commanded);
-  void put(const void * data, size_t size);
 
   struct arm;
-  std::string path_, log_path_;
+  std::string path_, log_error_;
   void * library_;
   const Scene * scene_;
   int (* reset_)(arm *);
@@ -88,7 +92,7 @@ private:
   std::vector<std::vector<unsigned char>> messages_;  // records, whose numbers are filled in
   arm * arm_;
   int64_t steps_ = 0;
-  FILE * log_ = nullptr;
+  std::unique_ptr<Log> log_;
 };
 
 }  // namespace timo_sim_hardware

@@ -4,11 +4,15 @@
 // The scene as hardware of ros2_control; doc/ros.md is the page about it.
 
 #include <algorithm>
+#include <cctype>
 #include <chrono>
 #include <cmath>
+#include <cstdint>
 #include <cstdlib>
+#include <locale>
 #include <memory>
 #include <mutex>
+#include <sstream>
 #include <stdexcept>
 #include <string>
 #include <thread>
@@ -31,6 +35,8 @@ using hardware_interface::return_type;
 using rclcpp_lifecycle::State;
 using SteadyClock = std::chrono::steady_clock;
 
+constexpr int64_t SECOND = 1000000000;  // [ns]
+
 // The controller manager catches what its methods throw, and prints it.
 class System : public hardware_interface::SystemInterface
 {
@@ -48,16 +54,33 @@ public:
     const auto & given = info_.hardware_parameters;
     plant_ = std::make_unique<Plant>(parameter(given, "scene_library"));
     record_file_ = parameter(given, "record_file");
+    const char * const home = std::getenv("HOME");
+    if (home && record_file_.compare(0, 2, "~/") == 0) {
+      record_file_.replace(0, 1, home);
+    }
     const auto factor = parameter(given, "real_time_factor");
-    factor_ = factor.empty() ? 1.0 : std::atof(factor.c_str());
-    if (!(factor_ >= 0.0 && factor_ <= 1e6)) {
-      throw std::runtime_error("real_time_factor must be >= 0 and <= 1e6, got " + factor);
+    if (!factor.empty()) {
+      std::istringstream text(factor);
+      text.imbue(std::locale::classic());
+      if (!(text >> factor_ && text.eof() && factor_ >= 0.0 && factor_ <= 1e6)) {
+        throw std::runtime_error(
+                "real_time_factor must be a number >= 0 and <= 1e6, got '" + factor + "'");
+      }
     }
-    if (parameter(given, "publish_clock") == "true") {
+    auto publish_clock = parameter(given, "publish_clock");
+    for (auto & letter : publish_clock) {
+      letter = std::tolower(static_cast<unsigned char>(letter));
+    }
+    if (publish_clock == "true") {
       clock_ = get_node()->create_publisher<rosgraph_msgs::msg::Clock>("/clock", 10);
+    } else if (!publish_clock.empty() && publish_clock != "false") {
+      throw std::runtime_error(
+              "publish_clock must be true or false, got '" + given.at("publish_clock") + "'");
     }
-    period_ = 1000000000 / info_.rw_rate;
-    wall_period_ = std::chrono::nanoseconds(factor_ > 0.0 ? std::llround(period_ / factor_) : 0);
+    if (info_.rw_rate < 1) {
+      throw std::runtime_error("rw_rate must be >= 1 Hz, got 0");
+    }
+    wall_period_ = wall(SECOND / info_.rw_rate);
     // The loop of the manager waits for its clock to start, and to go on while it cannot read.
     const auto tick = std::chrono::milliseconds(10);
     idle_ = patience_ = 100 + wall_period_ / tick;
@@ -66,6 +89,7 @@ public:
         const std::lock_guard<std::mutex> lock(mutex_);
         if (++idle_ > patience_) {
           advance_clock();
+          missed_ += commanded_;
         }
       });
     return CallbackReturn::SUCCESS;
@@ -144,7 +168,11 @@ public:
       get_command(each.handle, value, true);
       if (!std::isnan(value)) {
         plant_->set(each.input, value);
-        commanded_ = true;
+        const std::lock_guard<std::mutex> lock(mutex_);
+        if (!commanded_) {
+          commanded_ = true;
+          plant_->note_offset(time(periods_));
+        }
       }
     }
     return return_type::OK;
@@ -152,23 +180,36 @@ public:
 
   return_type read(const rclcpp::Time &, const rclcpp::Duration &) override
   {
+    int64_t missed, period;
     {
       const std::lock_guard<std::mutex> lock(mutex_);
-      if (get_clock()->now().nanoseconds() != time_) {
+      if (get_clock()->now().nanoseconds() != time(periods_)) {
         throw std::runtime_error(
                 "another program sets the clock of the controller manager, or it hears its own: "
                 "start it with --ros-args -r controller_manager:/clock:=/clock_unheard");
       }
       idle_ = 0;
+      missed = missed_;
+      missed_ = 0;
+      period = time(periods_ + 1) - time(periods_);
     }
     if (factor_ > 0.0) {  // wait for the wall clock; at most a period is caught up
       std::this_thread::sleep_until(next_);
-      next_ = std::max(next_, SteadyClock::now() - wall_period_) + wall_period_;
+      next_ = std::max(next_, SteadyClock::now() - wall_period_) + wall(period);
     }
-    if (commanded_) {
+    if (missed) {  // the arm is where the clock is
+      RCLCPP_WARN(
+        get_logger(), "the loop of the controller manager has not read for %lld periods, in which "
+        "the arm goes on under its last commands", static_cast<long long>(missed));
+    }
+    for (int64_t k = 0; commanded_ && k <= missed; ++k) {
       plant_->step(steps_);
     }
-    advance_clock();
+    complain();
+    {
+      const std::lock_guard<std::mutex> lock(mutex_);
+      advance_clock();
+    }
     publish();
     return return_type::OK;
   }
@@ -184,29 +225,58 @@ private:
   // Go back to the start, and let the clock go on at once if the loop does not read.
   CallbackReturn leave(const State &)
   {
-    const std::lock_guard<std::mutex> lock(mutex_);
-    idle_ = patience_;
-    commanded_ = false;
+    {
+      const std::lock_guard<std::mutex> lock(mutex_);
+      idle_ = patience_;
+      missed_ = 0;
+      commanded_ = false;
+    }
     if (plant_) {
       plant_->start("");
+      complain();
     }
     return CallbackReturn::SUCCESS;
+  }
+
+  // Say once that the log has ended early; the run goes on.
+  void complain()
+  {
+    const auto error = plant_->log_error();
+    if (error != told_) {
+      told_ = error;
+      if (!error.empty()) {
+        RCLCPP_ERROR(get_logger(), "%s", error.c_str());
+      }
+    }
+  }
+
+  // Sim time after some periods [ns]; the remainder of a division does not add up.
+  int64_t time(int64_t periods) const
+  {
+    const int64_t rate = info_.rw_rate;
+    return periods / rate * SECOND + periods % rate * SECOND / rate;
+  }
+
+  // Wall time of a sim time [ns].
+  std::chrono::nanoseconds wall(int64_t time) const
+  {
+    return std::chrono::nanoseconds(factor_ > 0.0 ? std::llround(time / factor_) : 0);
   }
 
   // The clock of the controller manager goes on by a period; it has no other source.
   void advance_clock()
   {
-    time_ += period_;
+    const int64_t before = time(periods_), now = time(++periods_);
     {
       const std::lock_guard<std::mutex> lock(get_clock()->get_clock_mutex());
-      if (rcl_set_ros_time_override(get_clock()->get_clock_handle(), time_) != RCL_RET_OK) {
+      if (rcl_set_ros_time_override(get_clock()->get_clock_handle(), now) != RCL_RET_OK) {
         throw std::runtime_error("the clock of the controller manager cannot be set");
       }
     }
     // For others some 100 times a second of sim time are enough.
-    if (clock_ && time_ / 10000000 != (time_ - period_) / 10000000) {
+    if (clock_ && now / 10000000 != before / 10000000) {
       rosgraph_msgs::msg::Clock message;
-      message.clock = rclcpp::Time(time_);
+      message.clock = rclcpp::Time(now);
       clock_->publish(message);
     }
   }
@@ -235,11 +305,14 @@ private:
   std::vector<Reading> readings_;
   std::string record_file_;
   double factor_ = 1.0;  // sim time per wall time; 0: as fast as possible
-  int64_t period_ = 0, time_ = 0, steps_ = 0;  // [ns], sim time [ns], time steps in a period
+  int64_t steps_ = 0;  // time steps in a period
   std::chrono::nanoseconds wall_period_{0};
   SteadyClock::time_point next_;
-  std::mutex mutex_;  // of the clock
+  std::string told_;  // of the log's error
+  std::mutex mutex_;  // of the clock: of what follows until `commanded_`
+  int64_t periods_ = 0;  // of the clock since its start
   int64_t idle_ = 0, patience_ = 0;  // ticks of the timer since the last read
+  int64_t missed_ = 0;  // periods by which the timer has advanced the clock of a moving arm
   bool commanded_ = false;
   rclcpp::Publisher<rosgraph_msgs::msg::Clock>::SharedPtr clock_;
   rclcpp::TimerBase::SharedPtr timer_;

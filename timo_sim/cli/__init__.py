@@ -205,6 +205,7 @@ def export_c(scene: Scene, output: str, target: str, estimate: bool, name: str) 
     other library.
     """
     from timo_sim.export.c import export_c
+    click.echo('compiling, which takes up to half a minute', err=True)
     folder = export_c(scene, output, target, estimate, name)
     click.echo(f'{folder} is written: {name}.h, {name}.o, main.c, CMakeLists.txt')
 
@@ -231,6 +232,7 @@ def export_fmu(scene: Scene, output: str, fmi: str, estimate: bool, target: str)
     It needs the C compiler cc.
     """
     from timo_sim.export.fmu import export_fmu
+    click.echo('compiling, which takes up to half a minute', err=True)
     click.echo(export_fmu(scene, output, int(fmi), estimate, target))
 
 

@@ -169,6 +169,25 @@ add_executable(main main.c)
 target_link_libraries(main name)
 """
 
+# The type NAME in the header, and variables of it in C and C++, cannot have these names.
+_TAKEN = frozenset(
+    """alignas alignof and and_eq asm auto bitand bitor bool break case catch char class compl
+    concept const consteval constexpr constinit const_cast continue co_await co_return co_yield
+    decltype default delete do double dynamic_cast else enum explicit export extern false float
+    for friend goto if inline int linux long mutable namespace new noexcept not not_eq nullptr
+    operator or or_eq private protected public register reinterpret_cast requires restrict return
+    short signed sizeof static static_assert static_cast struct switch template this thread_local
+    throw true try typedef typeid typename typeof typeof_unqual union unix unsigned using virtual
+    void volatile wchar_t while xor xor_eq
+    clearerr fclose feof ferror fflush fgetc fgetpos fgets fopen fprintf fputc fputs fread freopen
+    fscanf fseek fsetpos ftell fwrite getc getchar gets getline getdelim perror popen pclose printf
+    putc putchar puts remove rename rewind scanf setbuf setvbuf snprintf sprintf sscanf stderr
+    stdin stdout tmpfile tmpnam ungetc vfprintf vfscanf vprintf vscanf vsnprintf vsprintf vsscanf
+    main instance code memory shown count values outputs value input output parameter steps state
+    step size time clock signal div abs labs exit abort atexit free malloc calloc realloc qsort
+    rand srand system getenv index exp log sin cos tan sqrt pow floor ceil fabs read write open
+    close""".split())
+
 
 def export_c(scene: SceneLike, folder: Path | str, target: str = 'host', estimate: bool = False,
              name: str = 'arm') -> Path:
@@ -215,13 +234,18 @@ def export_c(scene: SceneLike, folder: Path | str, target: str = 'host', estimat
     if not re.fullmatch('[a-z][a-z0-9_]*', name):
         raise ParameterError('name must be lower-case letters, digits and _, got '
                              f'{short(name)}')
+    if name in _TAKEN or name.endswith('_t'):
+        raise ParameterError(f'name must be no word of C or its library, got {short(name)}')
     refuse(scene, estimate)
     interface = interface_of(scene, estimate)
     simulators = [Simulator(scene)]
     if estimate:
         simulators.append(Simulator(refine(scene, interface.parts)))
-    made = library(simulators, interface, target, name)
     folder.mkdir(parents=True, exist_ok=True)
+    for file in (f'{name}.h', f'{name}.o', 'main.c', 'CMakeLists.txt'):
+        if (folder / file).exists() and not (folder / file).is_file():
+            raise OSError(f'{folder / file} must be a regular file or none yet')
+    made = library(simulators, interface, target, name)
     texts = {f'{name}.h': _header(interface, made, scene.step, target, name),
              'main.c': _main(interface, scene.step, name), 'CMakeLists.txt': _fill(_CMAKE, name)}
     contents = {f'{name}.o': made.content,

@@ -45,9 +45,20 @@ struct instance {
 struct saved {
     char token[sizeof TOKEN]; /* shows that the state is one of this unit */
     int32_t phase;
+    uint32_t checksum; /* of all else, while it is serialised */
     double stop;
     double values[ARM_STATE_SIZE];
 };
+
+/* FNV-1a of a state without its checksum: any byte that was changed changes it. */
+static uint32_t checksum_of(struct saved state)
+{
+    uint32_t sum = 2166136261u;
+    state.checksum = 0;
+    for (size_t k = 0; k < sizeof state; ++k)
+        sum = (sum ^ ((const unsigned char *)&state)[k]) * 16777619u;
+    return sum;
+}
 
 static void tell(struct instance *me, int status, const char *text);
 
@@ -169,6 +180,16 @@ static int set_values(struct instance *me, const unsigned *references, size_t co
     return OK;
 }
 
+/* Return the longest time step up to that of the scene that divides a communication step. */
+static double divided(double size)
+{
+    double count = size / ARM_STEP;
+    if (!(count > 0.0 && count < 1e15))
+        return ARM_STEP;
+    int64_t whole = (int64_t)count;
+    return size / (double)(whole + (count > (double)whole));
+}
+
 /* Times are those of the master, which may have added up round-off. */
 static int step(struct instance *me, double point, double size)
 {
@@ -180,7 +201,8 @@ static int step(struct instance *me, double point, double size)
     double off = count - (double)steps, most = 1e-6 + 1e-15 * (now + size) / ARM_STEP;
     if (!steps || off > most || off < -most)
         return fail(me, NOT_DONE, "the communication step must be a whole multiple of %.17g s, "
-                    "got %.17g s", (double)ARM_STEP, size);
+                    "got %.17g s: export with --set integrator.step=%.17g", (double)ARM_STEP, size,
+                    divided(size));
     if (now + ((double)steps - 0.5) * ARM_STEP > me->stop)
         return fail(me, ERROR, "a step of %g s from %g s passes the stop time, %g s", size, now,
                     me->stop);
@@ -282,7 +304,9 @@ STATUS FMI(SerializeFMUState)(void *instance, void *state, BYTE bytes[], size_t 
     ENTER(instance, ANY);
     REQUIRE(state && bytes, "a pointer is null");
     REQUIRE(size >= sizeof(struct saved), "there is too little room for the state");
-    memcpy(bytes, state, sizeof(struct saved));
+    struct saved saved = *(const struct saved *)state;
+    saved.checksum = checksum_of(saved);
+    memcpy(bytes, &saved, sizeof saved);
     return OK;
 }
 
@@ -292,9 +316,12 @@ STATUS FMI(DeserializeFMUState)(void *instance, const BYTE bytes[], size_t size,
     REQUIRE(bytes && state, "a pointer is null");
     REQUIRE(size == sizeof(struct saved) && !memcmp(bytes, TOKEN, sizeof TOKEN),
             "these bytes are no state of this unit");
+    struct saved read;
+    memcpy(&read, bytes, sizeof read);
+    REQUIRE(read.checksum == checksum_of(read), "the state is damaged");
     struct saved *saved = malloc(sizeof *saved);
     REQUIRE(saved, "there is no memory left");
-    memcpy(saved, bytes, sizeof *saved);
+    *saved = read;
     *state = saved;
     return OK;
 }

@@ -93,6 +93,8 @@ def export_fmu(scene: SceneLike, path: Path | str, version: int = 3, estimate: b
         raise ParameterError(f'version must be 2 or 3, got {short(version)}')
     if target not in TARGETS:
         raise ParameterError(f'target must be {", ".join(TARGETS)}, got {short(target)}')
+    if not path.stem.isprintable():
+        raise ParameterError(f'the name of the FMU must be printable, got {short(path.stem)}')
     if (platform.system(), platform.machine()) != ('Linux', 'x86_64'):
         raise OSError('FMUs are written on Linux x86-64 alone')
     find_compiler()
