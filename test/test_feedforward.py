@@ -3,6 +3,8 @@
 
 """Feed-forward against closed forms of a rigid arm, the linear model, and the nonlinear arm."""
 
+import warnings
+
 import numpy as np
 import pytest
 
@@ -135,3 +137,20 @@ def test_the_nonlinear_arm_comes_to_rest_without_feedback():
         left.append(np.abs(bent).max())
     assert left[1] < left[0] / 20.0
     assert motion.shaft == pytest.approx(1.0, abs=1e-3)
+
+
+def test_a_plan_that_bends_the_arm_too_far_says_so():
+    """Half of a turn in half a second bends this arm by more than a fifth of its length."""
+    scene = {**ARM, 'arm.length': 0.7, 'arm.section.height': 0.002, 'arm.section.width': 0.02,
+             'arm.density': 7850.0, 'arm.young_modulus': 2.1e11, 'arm.shear_modulus': 8e10,
+             'end_effector.mass': 0.1, 'end_effector.inertia': 1e-5, 'motor.shaft_inertia': 0.01}
+    plant = timo_sim.linearize(scene).select(['torque_N_m'], ['tip_transverse_m']).to_discrete(DT)
+    shaft = timo_sim.linearize(scene).select(['torque_N_m'], ['shaft_rad']).to_discrete(DT)
+    with warnings.catch_warnings(record=True) as told:
+        warnings.simplefilter('always')
+        slow = timo_sim.feedforward(shaft, {'shaft_rad': 3.0}, 3.0)
+    assert not told
+    with pytest.warns(timo_sim.ModelWarning, match='bends the arm by 0.[2-9]. of its length'):
+        fast = timo_sim.feedforward(shaft, {'shaft_rad': 3.0}, 0.5)
+    slow, fast = (np.abs(plan.x @ plant.C[0]).max() / 0.7 for plan in (slow, fast))
+    assert slow < 0.2 < fast

@@ -14,7 +14,7 @@ from scipy import sparse
 from scipy.optimize import linprog
 
 from timo_sim.runs.linear import LinearModel
-from timo_sim.scene.parameters import Parameter, ParameterError, short, whole_ratio
+from timo_sim.scene.parameters import Parameter, ParameterError, short, warn, whole_ratio
 
 _GOAL = Parameter('goal', (), '', '')
 _DURATION = Parameter('duration', 1.0, 's', '', low=0.0, open_low=True)
@@ -22,6 +22,8 @@ _LIMITS = Parameter('limit and rate_limit', (), '', '', low=0.0, open_low=True, 
                     alone=True)
 _LONGEST = 2**14    # periods of a plan
 _ROUND_OFF = 1e-13  # relative, of what should vanish
+# Deflection of the tip over the length; the arm is then shorter by 0.6 of its square, 2 %.
+_MOST_BENT = 0.2
 _DEPENDENT = 1e-10  # relative singular value of constraints that depend on each other
 
 
@@ -55,6 +57,7 @@ def feedforward(model: LinearModel, goal: Mapping[str, float], duration: float |
     () or (inputs,). The plan has the least squared changes of the inputs, with which a rigid arm
     moves with least jerk, or the least largest change if those would exceed a limit. Raises
     ParameterError if the duration is too short, with the shortest, or if none is long enough.
+    Gives a ModelWarning if the plan bends the arm by more than a fifth of its length.
 
     Examples
     --------
@@ -92,6 +95,10 @@ def feedforward(model: LinearModel, goal: Mapping[str, float], duration: float |
     x = np.zeros((len(u), len(model.A)))
     for k in range(len(u) - 1):
         x[k + 1] = model.A @ x[k] + model.B @ u[k]
+    bent = 0.0 if model.bend is None else np.abs(x @ model.bend).max()
+    if bent > _MOST_BENT:
+        warn(f'the plan bends the arm by {bent:.2g} of its length, more than {_MOST_BENT:g}, '
+             'where a linear model does not hold: take a longer duration or a lower limit')
     return Plan(model.dt * np.arange(len(u)), x, u, x @ model.C.T + u @ model.D.T)
 
 

@@ -45,6 +45,8 @@ class LinearModel:
         Where the states are in a motion.
     dt : float or None
         Period of a discrete-time model [s], `x+ = A x + B u`; None: continuous time.
+    bend : ndarray, shape (m,), or None
+        Deflection of the tip per state, in lengths of the arm.
 
     Examples
     --------
@@ -65,6 +67,7 @@ class LinearModel:
     equilibrium: np.ndarray
     places: np.ndarray
     dt: float | None = None
+    bend: np.ndarray | None = None
 
     def __repr__(self):
         time = 'continuous time' if self.dt is None else f'dt = {self.dt:g} s'
@@ -257,8 +260,10 @@ def linearize(scene: SceneLike, at: np.ndarray | None = None, contact: str = '')
     for unit, spring in _springs(formulation, scene.bristles, places):
         c[:, :len(spring)] -= np.outer(
             _outputs(formulation, at, load + unit) - still + residual @ unit, spring)
-    return LinearModel(a, b, c, d, state_names(formulation), tuple(inputs),
-                       _output_names(formulation), equilibrium, places)
+    names = _output_names(formulation)
+    bend = c[names.index('tip_transverse_m')] / formulation.manipulator.arm.length
+    return LinearModel(a, b, c, d, state_names(formulation), tuple(inputs), names, equilibrium,
+                       places, bend=bend)
 
 
 def in_contact(scene: Scene, model: Formulation, at: np.ndarray,

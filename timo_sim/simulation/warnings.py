@@ -108,7 +108,9 @@ def divergence(scene: Scene, model: Any, step: int, motion: np.ndarray,
             shorter = max(k for k in (1, 2, 5) if k * decade <= resolved) * decade
             smaller = (f'integrator.step = {shorter:.6g} s or less, which resolves axial '
                        'vibrations, model.axial_modes 0')
+    exact = scene.values['model.formulation'] == 'exact'
     return (f'the state diverges after t = {step * scene.step:.6g} s (step {step}), at {name} = '
             f'{motion[largest]:.3g} with the arm bent by {bend:.3g} m: take {smaller}, '
-            'fewer model.modes or model.formulation exact' + (
+            'fewer model.modes or ' + (
+                'loads that bend it less' if exact else 'model.formulation exact') + (
                 f'; {warning}' if warning else ''))
