@@ -185,7 +185,7 @@ def test_a_scene_may_be_given_as_load_scene_takes_it(tmp_path):
     values = {'model.modes': 3, 'initial.shaft_velocity': 1.0}
     path = tmp_path / 'scene.yaml'
     path.write_text(yaml.dump({'/**': {'ros__parameters': values}}))
-    scene = timo_sim.load_scene(values)
+    scene = timo_sim.load_scene({}, values)
     assert timo_sim.load_scene(scene) is scene
     assert timo_sim.load_scene(scene, {'arm.length': 1.0}).values['arm.length'] == 1.0
     wanted = timo_sim.simulate(scene, 0.01).values.tobytes()
@@ -237,7 +237,7 @@ IMPLAUSIBLE = [
 def test_implausible_values_give_one_warning():
     for given, words in IMPLAUSIBLE:
         with pytest.warns(timo_sim.ModelWarning, match=words) as caught:
-            timo_sim.load_scene(given)
+            timo_sim.load_scene({}, given)
         assert len(caught) == 1
 
 

@@ -76,7 +76,7 @@ SHARED = {'initial.shaft_velocity': 20.0, 'model.modes': 3}
 def quietly(values, duration, every=5, **options):
     with warnings.catch_warnings():
         warnings.simplefilter('ignore', timo_sim.ModelWarning)
-        return timo_sim.simulate(timo_sim.load_scene(values), duration, every, **options)
+        return timo_sim.simulate(timo_sim.load_scene({}, values), duration, every, **options)
 
 
 @pytest.mark.parametrize('name', SCENES)
@@ -112,7 +112,7 @@ def test_stretch_is_measured_by_steps_that_do_not_resolve_axial_vibrations(name)
 def test_errors_that_grow_are_measured(name):
     """Against spectral elements, in a run and beside one."""
     values, steps = GROWS[name]
-    scene = timo_sim.load_scene(values)
+    scene = timo_sim.load_scene({}, values)
     length, every = scene.values['arm.length'], steps // 20
     run = quietly(values, steps * scene.step, every)
     tip = spectral_elements.simulate(scene.vary({'model.axial_modes': 0}), every * scene.step, 20,

@@ -173,9 +173,9 @@ def test_static_shapes_converge_with_a_light_tip(name, tip, cause, static, at_15
 
 
 def test_loads_at_a_straight_tip_turn_it_by_its_deflection_over_the_length():
-    model = timo_sim.linearize({
+    model = timo_sim.linearize(timo_sim.load_scene({}, {
         **LIGHT, 'arm.length': 0.7, 'motor.shaft_inertia': 0.1,
-        'model.static_modes': 'none'}).select(outputs=['tip_angle_rad', 'tip_transverse_m'])
+        'model.static_modes': 'none'})).select(outputs=['tip_angle_rad', 'tip_transverse_m'])
     for each in model.C, model.D:
         assert np.abs(each).max() > 1e-6 and each[0] == pytest.approx(each[1] / 0.7, rel=1e-9)
 
@@ -304,7 +304,7 @@ def test_inputs_without_effect_are_left_out(values, inputs):
 
 def test_bode_diagram_from_the_command_line(tmp_path):
     scene, picture = tmp_path / 'scene.yaml', tmp_path / 'bode.png'
-    scene.write_text('timo_sim: {ros__parameters: {arm.damping_ratio: 0.01}}')
+    scene.write_text('timo_sim: {ros__parameters: {hub.radius: 0.01}}')
     told = CliRunner().invoke(main, ['bode', '--help']).output
     inputs = timo_sim.linearize({**MOTOR, 'push.position': 1.0}).inputs
     assert len(inputs) == 9 and all(re.search(rf'\b{name}\b', told) for name in inputs)
@@ -323,7 +323,7 @@ def test_bode_diagram_from_the_command_line(tmp_path):
                                     {'initial.modal_coordinates': [0.1, 0.0, 0.0]}])
 def test_a_moving_scene_is_no_equilibrium(values):
     with pytest.raises(timo_sim.ParameterError, match='about an equilibrium'):
-        timo_sim.linearize(timo_sim.load_scene(values))
+        timo_sim.linearize(timo_sim.load_scene({}, values))
 
 
 @pytest.mark.parametrize('values', [

@@ -45,7 +45,7 @@ class Runs:
 
 
 def test_tip_is_within_three_deviations_in_99_percent_of_the_samples_of_100_seeds():
-    runs = Runs(timo_sim.load_scene(ARM), 100, 25)
+    runs = Runs(timo_sim.load_scene({}, ARM), 100, 25)
     assert runs.observer.sensors == ('root_strain', 'encoder')
     assert (abs(runs.tips) < 3.0).mean() > 0.99  # of normal numbers 99.7 % are
     # Errors of a run are correlated: four standard errors of some 1000 independent ones.
@@ -138,7 +138,7 @@ def test_arm_that_swings_in_gravity_needs_the_nonlinear_model():
 
 
 def test_deviation_of_the_deflection_is_that_of_motions_drawn_from_the_covariance():
-    observer = timo_sim.observer(timo_sim.load_scene(ARM), ['encoder'])
+    observer = timo_sim.observer(timo_sim.load_scene({}, ARM), ['encoder'])
     observer.update({'encoder': np.pi / 4})
     model, places = observer.model, timo_sim.linearize(ARM).places
     drawn = np.tile(observer.motion.values, (20000, 1))
@@ -165,7 +165,7 @@ def test_sensors_that_are_not_measured_are_expected():
 
 
 def test_a_wrong_model_is_a_warning():
-    scene = timo_sim.load_scene(ARM)
+    scene = timo_sim.load_scene({}, ARM)
     observer = timo_sim.observer(scene.vary({'arm.young_modulus': 40e9}),
                                  disturbance={'torque': (0.01, 0.1)})
     arm = timo_sim.Simulator(scene)

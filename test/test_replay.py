@@ -118,7 +118,7 @@ def states_of(torques, last):
 
 @pytest.fixture
 def default_scene(tmp_path):
-    (tmp_path / 'scene.yaml').write_text('/**: {ros__parameters: {arm.length: 2.0}}')
+    (tmp_path / 'scene.yaml').write_text('/**: {ros__parameters: {hub.radius: 0.0}}')
     return tmp_path / 'scene.yaml'
 
 

@@ -169,11 +169,11 @@ def test_materials_and_what_is_given_beside_them(tmp_path):
     values = timo_sim.load_scene({}, {'arm': {'material': 'steel', 'density': 2710.0}}).values
     assert values['arm.young_modulus'] == 210e9 and values['arm.density'] == 2710.0
     assert values['arm.shear_modulus'] == pytest.approx(210e9 / 2.6)
-    brass = timo_sim.load_scene(values, {'arm.material': 'brass'})
+    brass = timo_sim.load_scene({}, values).vary({'arm.material': 'brass'})
     assert brass.values['arm.density'] == 8500.0
     # What is written down of a scene gives the same one again.
     assert timo_sim.load_scene(brass.values).values == brass.values
-    log = timo_sim.simulate(timo_sim.load_scene(values), 0.01).save(tmp_path / 'run.mcap')
+    log = timo_sim.simulate(timo_sim.load_scene({}, values), 0.01).save(tmp_path / 'run.mcap')
     assert timo_sim.open_log(log).scene.values == values
 
 

@@ -30,7 +30,7 @@ INPUTS = [FORCE_X, FORCE_Y, TORQUE, TIP_X, TIP_Y, TIP_TORQUE, PUSH_X, PUSH_Y]
     ids=['free', 'held', 'damped', 'friction', 'locked', 'driven', 'light tip'])
 def test_derivatives_are_those_of_three_steps(values):
     """Under loads of all kinds, also along the arm's axes; differences are good to 1.2e-10."""
-    simulator = timo_sim.Simulator(timo_sim.load_scene(values))
+    simulator = timo_sim.Simulator(timo_sim.load_scene({}, values))
     random, world = np.random.default_rng(1), np.arange(LOADS) < ANGLE
     simulator.advance(50, 3.0 * random.standard_normal(LOADS) * world)
     model, steps, load = simulator.model, simulator.integration, simulator.load
@@ -88,7 +88,7 @@ def test_a_simulator_goes_on_as_by_step_and_has_the_derivatives_of_what_acts():
     ({'motor.coulomb_friction': 1.0}, 'friction that builds up'),
     ({'payload.time': [0.01], 'payload.mass': [3.0], 'payload.inertia': [0.6]}, 'step 10')])
 def test_what_has_no_derivatives_is_refused(values, words):
-    simulator = timo_sim.Simulator(timo_sim.load_scene(values))
+    simulator = timo_sim.Simulator(timo_sim.load_scene({}, values))
     with pytest.raises(timo_sim.ParameterError, match=words):
         simulator.step_derivatives(duration=0.02)
     assert simulator.steps == 0

@@ -150,7 +150,7 @@ PICKED = {'payload.time': [0.203, 0.5], 'payload.mass': [5.0, 1.0], 'payload.ine
          'presliding', 'sectors, presliding', 'payload', 'payload, held'])
 def test_bits_do_not_depend_on_how_many_steps_are_done_at_once(values):
     """Of motions and of the heat of friction, also after a reset."""
-    scene = timo_sim.load_scene(values)
+    scene = timo_sim.load_scene({}, values)
     whole, parts = Simulator(scene), Simulator(scene)
     motions, heat = whole.advance(630, sample_every=7)
     found, heats = [parts.motion.values], [0.0]

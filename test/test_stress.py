@@ -20,7 +20,9 @@ def few_modes(monkeypatch):
     monkeypatch.setattr(truth, '_FEWER', (5, 1))
 
 
-BODY = {'arm.length': 2.0, 'motor.mass': 0.0, 'initial.shaft_velocity': 1.0,
+BODY = {'arm.section.width': 0.02, 'arm.density': 2710.0, 'arm.young_modulus': 70.5e9,
+        'arm.shear_modulus': 27e9, 'motor.shaft_inertia': 2.0, 'initial.shaft': np.pi / 4,
+        'arm.length': 2.0, 'motor.mass': 0.0, 'initial.shaft_velocity': 1.0,
         'end_effector.mass': 2.168, 'end_effector.inertia': 0.08672, 'carrier.mass': 10.0}
 
 
@@ -28,7 +30,7 @@ def plain(steps=200, step=0.01, bend=0.01, **changes):
     """Return a Cell: a spinning arm that starts with its tip bent by `bend` [m]."""
     values = {**BODY, 'model.formulation': 'exact', 'model.modes': 3, 'integrator.step': step,
               'arm.section.height': 0.02, 'motor.shaft': 'free', **changes}
-    scene = timo_sim.load_scene(values)
+    scene = timo_sim.load_scene({}, values)
     shape = [bend / scene.build().tip_travel[3]] + (values['model.modes'] - 1) * [0.0]
     return scenes.Cell(0, 'test', {**values, 'initial.modal_coordinates': shape}, steps,
                        max(1, steps // 20), False)

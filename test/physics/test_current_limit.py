@@ -210,7 +210,7 @@ def test_acts_on_the_rotor_of_an_elastic_gear():
 
 def test_a_joint_sticks_while_the_current_cannot_move_it():
     stuck = {**RIGID, **MOTOR, 'motor.coulomb_friction': 30.1}
-    simulator = timo_sim.Simulator(timo_sim.load_scene(stuck))
+    simulator = timo_sim.Simulator(timo_sim.load_scene({}, stuck))
     assert simulator.step(duration=0.2, voltage=500.0).shaft_velocity == 0.0
     loose = timo_sim.load_scene({}, {**stuck, 'motor.coulomb_friction': 29.9})
     speed = timo_sim.Simulator(loose).step(duration=0.2, voltage=500.0).shaft_velocity

@@ -44,7 +44,7 @@ STRETCHING = {'arm.section.height': 0.08, 'arm.young_modulus': 1e9, 'arm.density
 
 
 def scene_of(formulation, constraints, damping=0.03, **values):
-    return timo_sim.load_scene({
+    return timo_sim.load_scene({}, {
         'model.formulation': formulation, 'model.modes': MODES, 'integrator.step': 0.0005,
         'arm.shear_modulus': 1e6, 'gravity': GRAVITY, 'arm.damping_ratio': [damping],
         'carrier.viscous_friction': DRAG[0], 'motor.viscous_friction': DRAG[2],

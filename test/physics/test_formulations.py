@@ -54,10 +54,10 @@ def vibrating(formulation, **overrides):
     """Return a scene that starts with w_t = 1.5 z^2 - 0.5 z^3 m/s, z = xi/l, phi_t its slope."""
     values = {'model.formulation': formulation, 'model.modes': 3, **overrides}
     rates = timo_sim.project_on_modes(
-        timo_sim.load_scene(values),
+        timo_sim.load_scene({}, values),
         lambda xi: 1.5 * (xi / ARM_LENGTH)**2 - 0.5 * (xi / ARM_LENGTH)**3,
         lambda xi: (3.0 * (xi / ARM_LENGTH) - 1.5 * (xi / ARM_LENGTH)**2) / ARM_LENGTH)
-    return timo_sim.load_scene(values, {'initial.modal_rates': rates})
+    return timo_sim.load_scene({}, values).vary({'initial.modal_rates': rates})
 
 
 @pytest.mark.parametrize('picked_up', [False, True])
@@ -225,7 +225,7 @@ def test_newton_warns_where_axial_force_and_deflection_matter(name, axial, acros
     """There is no warning where `exact` agrees to a thousandth of the arm's length, only there."""
     base = {'carrier.held': 'both', 'motor.shaft': 'locked', 'initial.shaft': 0.0,
             'arm.damping_ratio': [0.7]}
-    arm = timo_sim.load_scene(base).manipulator.arm
+    arm = timo_sim.load_scene({}, base).manipulator.arm
     euler = np.pi**2 * arm.section.bending_stiffness / (4.0 * arm.length**2)
     forces = {f'load.tip_force_{axis}.piecewise': {'time': [0.0], 'value': [force]}
               for axis, force in (('x', axial * euler), ('y', across))}

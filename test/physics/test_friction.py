@@ -172,7 +172,8 @@ def test_friction_of_shaft_and_carrier_against_another_integrator():
                    f'load.{load}.harmonic.amplitude': [5.0],
                    f'load.{load}.harmonic.frequency': [frequencies[k]]}
     for step in 0.02, 0.01, 0.005:
-        run = timo_sim.simulate(timo_sim.load_scene(values, {'integrator.step': step}), 1.0,
+        scene = timo_sim.load_scene({}, values).vary({'integrator.step': step})
+        run = timo_sim.simulate(scene, 1.0,
                                 sample_every=round(0.02 / step), estimate=False)
         # Measured: 7e-7 m or rad at 20 ms, 5e-8 at the others.
         assert np.abs(run.values - truth)[:, :3].max() < 2e-6

@@ -353,12 +353,12 @@ def test_sensors_and_the_linear_model_know_rotor_and_gear():
      'integrator.step = 0.001 s must be at most .* s for backlash of a gear with this stiffness')])
 def test_what_does_not_fit_together_is_refused(values, text):
     with pytest.raises(timo_sim.ParameterError, match=text):
-        timo_sim.load_scene(values)
+        timo_sim.load_scene({}, values)
 
 
 def test_what_a_gear_has_no_part_in():
     """Modes of the arm at a speed of the shaft; derivatives of steps; a batch with rigid gears."""
-    scene = timo_sim.load_scene(GEAR)
+    scene = timo_sim.load_scene({}, GEAR)
     rigid = scene.vary({name: 0.0 for name in GEAR if 'ratio' not in name})
     assert timo_sim.modes(scene, 5.0).frequency == pytest.approx(
         timo_sim.modes(rigid, 5.0).frequency, rel=1e-12)

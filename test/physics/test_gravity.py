@@ -123,10 +123,10 @@ def test_vibrations_about_an_equilibrium(values):
 def test_equilibria_are_stable_ones():
     upright = {**HANGING, 'initial.shaft': np.pi / 2, 'initial.equilibrium': True}
     # The shaft tips over; a locked one bears its straight arm until it buckles.
-    assert np.sin(timo_sim.load_scene(upright).initial_motion()[2]) == pytest.approx(-1.0)
+    assert np.sin(timo_sim.load_scene({}, upright).initial_motion()[2]) == pytest.approx(-1.0)
     locked = {**upright, 'motor.shaft': 'locked', 'end_effector.mass': 0.0,
               'end_effector.inertia': 0.0, 'model.modes': 8}
-    section = timo_sim.load_scene(locked).manipulator.arm.section
+    section = timo_sim.load_scene({}, locked).manipulator.arm.section
     # Greenhill's column under its own weight, 7.837 E I / (rho A g l^3); shear makes it 1e-4 less.
     critical = 7.8373 * section.bending_stiffness / section.mass_per_length / 2.0**3
     for share, bends in ((0.999, False), (1.001, True)):
@@ -153,7 +153,7 @@ def test_forces_that_hold_an_arm_at_rest():
                              ([3.0, 4.0], 8.436254)):
         scene = timo_sim.load_scene({'gravity': gravity})
         assert imu.unlogged(Simulator(scene).snapshot())[0] == pytest.approx(along_z, abs=1e-5)
-    falling = timo_sim.Simulator(timo_sim.load_scene(DOWN))
+    falling = timo_sim.Simulator(timo_sim.load_scene({}, DOWN))
     falling.step(duration=0.1)
     assert falling.sensors.tip_acceleration == pytest.approx([0.0, 0.0], abs=1e-6)
 
@@ -202,4 +202,4 @@ def test_dry_friction_holds_an_arm_up_to_its_weight(share, holds):
      'initial.shaft_velocity must be empty or 0')])
 def test_what_is_refused(values, words):
     with pytest.raises(timo_sim.ParameterError, match=words):
-        timo_sim.load_scene(values).initial_motion()
+        timo_sim.load_scene({}, values).initial_motion()

@@ -13,7 +13,9 @@ import timo_sim
 from timo_sim.model.layout import LOADS, SPEED
 
 RADIUS, LENGTH = 0.3, 1.2
-ARM = {'arm.length': LENGTH, 'arm.section.height': 0.01, 'arm.section.width': 0.03,
+ARM = {'arm.density': 2710.0, 'arm.young_modulus': 70.5e9, 'arm.shear_modulus': 27e9,
+       'carrier.mass': 5.0, 'motor.mass': 5.0, 'initial.shaft': np.pi / 4,
+       'arm.length': LENGTH, 'arm.section.height': 0.01, 'arm.section.width': 0.03,
        'end_effector.mass': 0.4,
        'end_effector.inertia': 0.01, 'motor.shaft_inertia': 0.05}
 LOADED = {**ARM, 'load.torque.harmonic.amplitude': [3.0], 'load.torque.harmonic.frequency': [1.0],
@@ -120,7 +122,7 @@ def test_stiffens_a_spinning_arm(ratio):
               'end_effector.inertia': 0.0, 'hub.radius': ratio, 'carrier.held': 'both',
               'motor.shaft': 'driven', 'motor.drive.time': [0.0], 'motor.drive.angle': [0.0],
               'motor.drive.speed': [0.0], 'motor.drive.acceleration': [0.0]}
-    model = timo_sim.load_scene(values).build()
+    model = timo_sim.load_scene({}, values).build()
     section = model.manipulator.arm.section
     unit = np.sqrt(section.bending_stiffness / section.mass_per_length)
     for speed in (2.0, 6.0):

@@ -52,7 +52,7 @@ def run(formulation, scene, **values):
         **{f'load.{channel}.harmonic.phase': [0.3] for channel in ('force_x', 'force_y')},
         'end_effector.mass': scene['tip mass'], 'end_effector.inertia': scene['tip inertia'],
         'arm.damping_ratio': [scene['damping']], **values}
-    return Simulator(timo_sim.load_scene(values)).advance(STEPS, sample_every=STEPS // 10)[0]
+    return Simulator(timo_sim.load_scene({}, values)).advance(STEPS, sample_every=STEPS // 10)[0]
 
 
 def same(found, expected, rounding=1e-9):

@@ -275,7 +275,7 @@ def test_steps_too_long_for_the_spring_are_refused(scene):
              'carrier.coulomb_presliding': 0.0}
     with pytest.raises(timo_sim.ParameterError, match='integrator.step = 0.001 s must be at most '
                        '.* s for Coulomb friction with so small a presliding: take') as caught:
-        timo_sim.load_scene(stiff)
+        timo_sim.load_scene({}, stiff)
     step, factor = map(float, re.search('most (.*) s for .* coulomb_presliding (.*) times', str(
         caught.value)).groups())
     timo_sim.load_scene({}, {**stiff, 'motor.coulomb_presliding': 1e-8 * 1.01 * factor})
@@ -296,11 +296,11 @@ def test_steps_too_long_for_the_spring_are_refused(scene):
     ({'motor.rotor.coulomb_presliding': 0.1}, 'motor.rotor.coulomb_presliding needs motor.gear.')])
 def test_what_does_not_fit_together_is_refused(values, told):
     with pytest.raises(timo_sim.ParameterError, match=re.escape(told)):
-        timo_sim.load_scene(values)
+        timo_sim.load_scene({}, values)
 
 
 def test_what_needs_smooth_friction_says_so():
-    scene = timo_sim.load_scene(SHAFT)
+    scene = timo_sim.load_scene({}, SHAFT)
     with pytest.raises(timo_sim.ParameterError, match='friction with a coulomb_presliding is not'):
         timo_sim.Batch([scene])
     with pytest.raises(timo_sim.ParameterError, match='friction that builds up over a speed'):

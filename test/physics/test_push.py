@@ -77,7 +77,7 @@ def test_at_the_tip_it_is_a_force_on_the_tip(values):
 
 def test_commands_push_as_loads_do_also_in_a_batch():
     values = {**MOVING, 'push.position': PLACE}
-    scene = timo_sim.load_scene(values)
+    scene = timo_sim.load_scene({}, values)
     wanted = timo_sim.simulate(timo_sim.load_scene({}, {**values, **pushed('push', x=0.3)}), 0.1,
                                estimate=False).values[-1]
     simulator, batch = timo_sim.Simulator(scene), timo_sim.Batch(scene, n=2)

@@ -31,7 +31,7 @@ def inertia_of(scene):
 
 
 def test_a_rigid_arm_stops_as_the_closed_form():
-    scene = timo_sim.load_scene(RIGID)
+    scene = timo_sim.load_scene({}, RIGID)
     inertia = inertia_of(scene)
     run = timo_sim.simulate(scene, 20.0, 10, estimate=False)
     speed = coasting(inertia, run.t)
@@ -42,7 +42,7 @@ def test_a_rigid_arm_stops_as_the_closed_form():
 
 def test_sensitivities_are_derivatives_of_the_closed_form():
     """Derivatives by a complex step, exact to round-off."""
-    scene = timo_sim.load_scene(RIGID)
+    scene = timo_sim.load_scene({}, RIGID)
     inertia, names = inertia_of(scene), {'motor.coulomb_friction': 'limit',
                                          'motor.coulomb_speed': 'slow',
                                          'initial.shaft_velocity': 'first'}
@@ -172,7 +172,7 @@ def test_steps_that_are_unstable_are_refused(friction):
     steep = {'motor.coulomb_friction': friction, 'motor.coulomb_speed': 1e-4}
     with pytest.raises(timo_sim.ParameterError, match='integrator.step = 0.001 s must be at most '
                        '.* s for Coulomb friction with this slope: take that, or') as caught:
-        timo_sim.load_scene(steep)
+        timo_sim.load_scene({}, steep)
     step, factor = re.search('most (.*) s for .* coulomb_speed (.*) times', str(caught.value)
                              ).groups()
     timo_sim.load_scene({}, {**steep, 'integrator.step': float(step)})

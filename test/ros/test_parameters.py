@@ -97,7 +97,7 @@ def test_scene_and_node_take_the_same_sections(tmp_path):
         path.write_text(text)
         theirs = {name: value for name, value in overrides(path).items() if name not in own}
         assert theirs and check(read_parameter_file(path), 'scene') == check(theirs, 'node'), name
-        timo_sim.load_scene(path)
+        timo_sim.load_scene({}, read_parameter_file(path))
 
 
 def test_files_that_are_ambiguous_or_for_others_are_refused(tmp_path):

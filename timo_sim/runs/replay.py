@@ -147,7 +147,8 @@ def _values(recording, scene_file, changes):
         raise ParameterError(f'{recording.title} is a plain bag without {recording.name}/scene: '
                              'give its scene by --scene')
     # `recording.scene` raises LogError if values are wrong; it has none of the node's own.
-    given = {**recording.parameters, **recording.scene.values}
+    checked = recording.scene.values
+    given = {**recording.parameters, **checked}
     return {**DEFAULTS, **check(given, recording.title), **check(changes, '--set')}
 
 

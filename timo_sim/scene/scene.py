@@ -341,16 +341,17 @@ def load_scene(source: SceneLike, overrides: Mapping[str, Any] | None = None) ->
 def values_of(source: str | Path | Mapping[str, Any],
               overrides: Mapping[str, Any] | None = None) -> dict[str, Any]:
     """Return all checked values by name, also those of the node; arguments as of `load_scene`."""
-    from_file = isinstance(source, str | Path)
-    given, origin = ((read_parameter_file(source), str(source)) if from_file
-                     else (flatten(source), 'given values'))
+    if isinstance(source, str | Path):
+        given, origin = read_parameter_file(source), str(source)
+    else:
+        given, origin = flatten(source), 'given values'
     own = gives_arm(given)
     given = {**check(given, origin), **check(flatten(overrides or {}), 'override')}
     try:
         values = complete(given, own)
     except ParameterError as error:
         raise ParameterError(f'{error} ({origin})') from None
-    for text in (find_outdated(given, values) if own and from_file else None,
+    for text in (find_outdated(given, values) if own and origin != 'given values' else None,
                  find_implausible(values)):
         if text:
             warn(text)
