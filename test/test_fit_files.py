@@ -3,6 +3,7 @@
 
 """Records in files and logs, and the command `timo_sim fit`."""
 
+import os
 from pathlib import Path
 import re
 import signal
@@ -381,6 +382,19 @@ def test_a_signal_ends_the_command_with_the_best_so_far(tmp_path, number):
     assert command.returncode == 1 and 'it was interrupted' in told[0], told
     assert '# parameter            best so far' in fitted.read_text()
     assert timo_sim.load_scene(fitted).values['end_effector.mass'] > 0.0
+
+
+def test_a_step_that_is_too_long_is_a_message(tmp_path):
+    done = CliRunner().invoke(main, ['simulate', 'paper', '--set', 'motor.coulomb_friction=50',
+                                     'motor.coulomb_speed=1e-6'])
+    assert done.exit_code == 2 and 'integrator.step' in done.output
+    assert len(done.output.splitlines()) == 1
+
+
+def test_a_new_scene_is_not_written_to_a_pipe(tmp_path):
+    os.mkfifo(tmp_path / 'pipe')
+    done = CliRunner().invoke(main, ['new', str(tmp_path / 'pipe')])
+    assert done.exit_code == 1 and 'pipe exists' in done.output
 
 
 BAD_ARGUMENTS = [

@@ -26,6 +26,11 @@ def measured(simulator):
             for output in outputs(simulator.scene.values['model.modes']) if output.delay}
 
 
+def test_sensors_print_their_readings():
+    sensors = timo_sim.Simulator('paper').sensors
+    assert f'encoder = {sensors.encoder}' in repr(sensors) and ' at 0x' not in repr(sensors)
+
+
 def test_each_topic_and_sensor_has_its_own_name_and_all_numbers_of_its_message():
     scene = timo_sim.load_scene({'motor.gear.stiffness': 900.0, 'motor.rotor.inertia': 0.5})
     snapshot = Simulator(scene).snapshot()

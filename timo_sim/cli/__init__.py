@@ -75,7 +75,7 @@ class _Command(click.Command):
             sys.exit(128 + signal.SIGPIPE)
         except Exception as error:
             code, text = 1, str(error)
-            if type(error).__name__ in _WRONG_INPUT:
+            if any(each.__name__ in _WRONG_INPUT for each in type(error).__mro__):
                 code = 2
             elif not isinstance(error, (ImportError, MemoryError, OSError)):
                 raise

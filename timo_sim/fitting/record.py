@@ -677,7 +677,7 @@ def _numbers(values, column):
 def _factor(entry, unit, base):
     known = UNITS[base]
     if unit is not None and not (isinstance(unit, str) and unit in known):
-        raise ParameterError(f'{entry}: unit must be one of {", ".join(known)}, got '
+        raise ParameterError(f'{entry}: unit must be one of {", ".join(filter(None, known))}, got '
                              f'{short(unit)}')
     return known[base if unit is None else unit]
 

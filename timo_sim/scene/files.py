@@ -37,7 +37,9 @@ def whole_file(path: Path | str, new: bool = False) -> Iterator[Path]:
     is left. With `new`, an older file is a FileExistsError.
     """
     path = Path(os.path.realpath(path))  # the target of a symbolic link
-    if path.exists() and not path.is_file():  # such as /dev/null
+    if new and path.exists():  # also a pipe, which nobody may read
+        raise FileExistsError(f'{path} exists: remove it or choose another name')
+    if not new and path.exists() and not path.is_file():  # such as /dev/null
         yield path
         return
     try:

@@ -175,6 +175,9 @@ class Sensors:
     def __dir__(self):
         return [sensor.name for sensor in SENSORS]
 
+    def __repr__(self):
+        return f'<Sensors {", ".join(f"{name} = {getattr(self, name)}" for name in dir(self))}>'
+
     def __getattr__(self, name):
         if name not in dir(self):
             raise AttributeError(f'there is no sensor {name!r}, but {", ".join(dir(self))}')
