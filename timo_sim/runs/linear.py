@@ -206,7 +206,8 @@ def linearize(scene: SceneLike, at: np.ndarray | None = None) -> LinearModel:
     load = scene.load_at_start() if scene.values['initial.equilibrium'] else np.zeros(LOADS)
     load[ANGLE] = at[2]
     # Small changes about an equilibrium do not reach the limit of the motor's current.
-    scene = scene.vary({'motor.dc.current_limit': math.inf})
+    # A step of 0 resolves all axial vibrations.
+    scene = replace(scene.vary({'motor.dc.current_limit': math.inf}), step=0.0)
     formulation = scene.build()
     state = formulation.state(at)
     moving, rate = at[half:], np.abs(formulation.rate(state, load))

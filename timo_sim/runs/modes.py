@@ -130,7 +130,8 @@ def modes(scene: SceneLike, speed: float | None = None) -> Vibrations:
             'vibrations at a shaft speed need model.formulation = exact, since others lack '
             'centrifugal stiffening, and gravity = [0, 0], since it turns in the axes of the '
             f'arm; got {scene.values["model.formulation"]}, {list(scene.values["gravity"])}')
-    model, finer = (replace(each, constraints=constraints, manipulator=body).build() for each in (
+    own = {'constraints': constraints, 'manipulator': body, 'step': 0.0}  # all are resolved
+    model, finer = (replace(each, **own).build() for each in (
         refine(scene, 1, 0, 0, same_equations=True),
         refine(scene, 1, MORE_MODES, int(exact), same_equations=True)))
     motion, poles, vectors = _about(model, start, load)

@@ -70,9 +70,13 @@ def refine(scene: Scene, parts: int, modes: int | None = None, axial: int = MORE
                  for name, value in values.items() if name.endswith('.time'))
     equations = {} if same_equations else {'model.formulation': 'exact',
                                            'model.static_modes': 'none'}
-    return scene_from({**values, **lists, **equations, 'model.accuracy': 0.0,
-                       'model.modes': bending + modes, 'model.axial_modes': stretching + axial,
-                       'integrator.step': scene.step / parts})
+    found = scene_from({**values, **lists, **equations, 'model.accuracy': 0.0,
+                        'model.modes': bending + modes, 'model.axial_modes': stretching + axial,
+                        'integrator.step': scene.step / parts})
+    if not stretching or _axial_phase(scene, found.step) <= _AXIAL_PHASE:
+        found.__dict__['fastest'] = np.inf  # its vibration is seen, or critically damped
+        found.__dict__.pop('_own_model', None)
+    return found
 
 
 def can_refine(scene: Scene) -> bool:
