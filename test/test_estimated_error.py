@@ -235,8 +235,8 @@ def test_lists_of_modes_grow_with_the_modes():
 
 
 def test_a_finer_run_starts_where_the_run_does_also_if_static_shapes_are_bent():
-    scene = timo_sim.load_scene({**SCENES['stretch'], 'model.static_modes': 'force',
-                                 'initial.modal_coordinates': [2e-3, 0.0, 0.0, 2e-3]})
+    scene = timo_sim.load_scene({}, {**SCENES['stretch'], 'model.static_modes': 'force',
+                                     'initial.modal_coordinates': [2e-3, 0.0, 0.0, 2e-3]})
     tips = [each.build().tip(each.initial_motion()) for each in (scene, refine(scene, 2))]
     # Few nodes see the shortening, the square of the bend, to 4e-4 of itself.
     assert tips[0][1] > 1e-3 and tips[1] == pytest.approx(tips[0], abs=1e-7)

@@ -362,8 +362,8 @@ def at_rest(model, effects, causes):
 @pytest.mark.parametrize('hub', [0.0, 2.0])
 def test_static_gains_are_those_of_a_cantilever_with_any_number_of_modes(hub):
     """Of bending, shear and, with axial modes, stretch; a push at 0.4 l bends the tip, too."""
-    scene = timo_sim.load_scene({**BARE, 'model.modes': 2, 'model.axial_modes': 1,
-                                 'hub.radius': hub, 'push.position': 0.4})
+    scene = timo_sim.load_scene({}, {**BARE, 'model.modes': 2, 'model.axial_modes': 1,
+                                     'hub.radius': hub, 'push.position': 0.4})
     section, a = scene.manipulator.arm.section, 0.4
     bend, shear, pull = (1.0 / section.bending_stiffness, 1.0 / section.shear_stiffness,
                          1.0 / section.axial_stiffness)
@@ -381,7 +381,7 @@ def test_static_gains_are_those_of_a_cantilever_with_any_number_of_modes(hub):
 @pytest.mark.parametrize('frequency', [0.3, 2.0, 15.0])
 def test_a_gyro_turns_with_the_tip_or_the_model_says_that_it_does_not(frequency):
     """Static shapes have what a torque on a bare tip does to rates, which take no feedthrough."""
-    scene = timo_sim.load_scene({**BARE, 'model.modes': 5})
+    scene = timo_sim.load_scene({}, {**BARE, 'model.modes': 5})
     turns = {}
     for static in 'none', 'both':
         with warnings.catch_warnings(record=True) as told:
@@ -398,7 +398,7 @@ def test_a_gyro_turns_with_the_tip_or_the_model_says_that_it_does_not(frequency)
 
 def test_modes_are_the_vibrations_of_the_linear_model_on_springs_of_presliding():
     """A rigid arm on the spring of its friction before it slides: `sqrt(limit / reach / J)`."""
-    scene = timo_sim.load_scene({
+    scene = timo_sim.load_scene({}, {
         **BARE, 'model.modes': 0, 'motor.shaft': 'free', 'motor.shaft_inertia': 0.1,
         'motor.coulomb_friction': 0.4, 'motor.coulomb_presliding': 0.02})
     inertia = scene.build().mass_matrix(scene.initial_motion())[0][2, 2]

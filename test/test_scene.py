@@ -169,7 +169,7 @@ def test_what_stands_for_a_section_a_material_or_a_joint_that_moves_is_enough():
     section = {'arm.section.width': 0.02, 'arm.section.height': 0.002}
     measured = {'arm.section.bending_stiffness': 1.0, 'arm.section.mass_per_length': 0.1}
     for values in ({**section, 'arm.material': 'steel'}, measured):
-        assert timo_sim.load_scene({**fixed, **values}).values['carrier.mass'] == 0.0
+        assert timo_sim.load_scene({}, {**fixed, **values}).values['carrier.mass'] == 0.0
 
 
 @pytest.mark.parametrize('path', sorted(

@@ -127,8 +127,8 @@ UNIFORM = {'arm.section.bending_stiffness': 0.0, 'arm.section.mass_per_length': 
 @pytest.mark.filterwarnings('ignore::timo_sim.ModelWarning')
 def test_stiffness_and_mass_alone_are_a_beam_of_euler_and_bernoulli(profile):
     """The limit: frequencies differ by `(beta l)^2 / 1e6` at most, deflections by 3e-6."""
-    scene = timo_sim.load_scene({**BLADE, **profile, 'load.tip_force_y.piecewise.time': [0.0],
-                                 'load.tip_force_y.piecewise.value': [1e3]})
+    scene = timo_sim.load_scene({}, {**BLADE, **profile, 'load.tip_force_y.piecewise.time': [0.0],
+                                     'load.tip_force_y.piecewise.value': [1e3]})
     wave = np.array([1.8751041, 4.6940911, 7.8547574, 10.9955407, 14.1371684])
     expected = wave**2 * np.sqrt(3e9 / 500.0) / 117.0**2
     assert timo_sim.modes(scene).omega == pytest.approx(expected, rel=wave[-1]**2 * 1e-6)
@@ -146,7 +146,7 @@ def test_what_is_measured_beside_them_counts():
     shear = {'arm.section.shear_stiffness': 1e6, 'arm.section.axial_stiffness': 2e9,
              'arm.section.rotary_inertia': 50.0}
     with pytest.warns(timo_sim.ModelWarning, match='a length of 117 m'):
-        scene = timo_sim.load_scene({**BLADE, **shear, 'model.axial_modes': 1})
+        scene = timo_sim.load_scene({}, {**BLADE, **shear, 'model.axial_modes': 1})
     assert not scene.left_out and scene.manipulator.arm.stretches
     gain = timo_sim.linearize(scene).select(['tip_force_y_N'], ['tip_y_m']).frequency_response(
         [0.0])[0, 0, 0]
@@ -162,7 +162,7 @@ def test_what_is_measured_beside_them_counts():
 @pytest.mark.filterwarnings('ignore::timo_sim.ModelWarning')
 def test_half_a_measured_section_is_refused(values, message):
     with pytest.raises(timo_sim.ParameterError, match=message):
-        timo_sim.load_scene({**BLADE, **values})
+        timo_sim.load_scene({}, {**BLADE, **values})
 
 
 def test_materials_and_what_is_given_beside_them(tmp_path):
@@ -192,7 +192,7 @@ def test_sections_that_cannot_be_are_refused(section, message):
 
 def profiled(positions, heights):
     """Return the model of an arm of 1 m with heights at positions."""
-    return timo_sim.load_scene({'arm': {
+    return timo_sim.load_scene({}, {'arm': {
         'length': 1.0, 'section': {'width': WIDTH, 'height': HEIGHT}, 'density': 2700.0,
         'young_modulus': 7e10, 'shear_modulus': 2.6e10, 'profile': {
             'position': positions, 'height': heights}}}).build()

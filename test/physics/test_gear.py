@@ -256,7 +256,7 @@ PLAY = {**RIGID, **GEAR, 'motor.gear.backlash': 0.02, 'motor.mass': 1.0, 'carrie
 @pytest.mark.parametrize('sign', [1.0, -1.0])
 def test_linear_models_are_in_contact_where_the_equilibrium_loads_the_gear(sign):
     """Two bodies on springs, of the gear and of gravity at the arm; gains at rest add up."""
-    scene = timo_sim.load_scene({**PLAY, 'gravity': [0.0, -9.81]})
+    scene = timo_sim.load_scene({}, {**PLAY, 'gravity': [0.0, -9.81]})
     weight = 9.81 * scene.build().points.lever @ scene.build().point_mass
     held = scene.vary({'load.torque.piecewise.time': [0.0], 'initial.equilibrium': True,
                        'load.torque.piecewise.value': [sign * 0.5 * weight],
@@ -275,7 +275,7 @@ def test_linear_models_are_in_contact_where_the_equilibrium_loads_the_gear(sign)
 
 
 def test_linear_models_of_a_gear_that_nothing_loads_need_its_contact():
-    scene = timo_sim.load_scene({**PLAY, 'motor.gear.damping': 0.05})
+    scene = timo_sim.load_scene({}, {**PLAY, 'motor.gear.damping': 0.05})
     for model in timo_sim.linearize, timo_sim.modes, timo_sim.shaper:
         with pytest.raises(timo_sim.ParameterError, match='closed or open with motor.gear.backl'):
             model(scene)

@@ -3,8 +3,6 @@
 
 """Arms that stretch: closed forms of the rod, conserved quantities, spectral elements."""
 
-import re
-
 import numpy as np
 import pytest
 from scipy.optimize import brentq
@@ -101,11 +99,12 @@ def test_an_arm_that_only_stretches_vibrates_about_its_centrifugal_stretch(held)
 
 
 # `effect`: least effect of the stretch, `limit`: largest error, in lengths. The errors are those
-# of the step and of the modes in bending; with x held five modes would leave 3e-5.
+# of the step, which does not resolve the ringing of an arm that starts unstretched, and of the
+# modes in bending; with x held five modes would leave 3e-5.
 @pytest.mark.parametrize('values, modes, step, effect, limit', [
-    ({'carrier.held': 'both', **SPINNING}, 5, 0.005, 2e-4, 1e-5),
-    (SPINNING, 5, 0.005, 1e-4, 1e-5),
-    ({'carrier.held': 'x', **SPINNING}, 8, 0.001, 1e-4, 1e-5),
+    ({'carrier.held': 'both', **SPINNING}, 5, 0.005, 2e-4, 4e-5),
+    (SPINNING, 5, 0.005, 1e-4, 2e-5),
+    ({'carrier.held': 'x', **SPINNING}, 8, 0.001, 1e-4, 2e-5),
     ({'carrier.held': 'both', **DRIVEN}, 5, 0.005, 2e-5, 5e-6),
 ], ids=['held', 'free', 'x held', 'driven'])
 @pytest.mark.filterwarnings('ignore::timo_sim.ModelWarning')  # axial ringing of the first step
@@ -170,15 +169,36 @@ LARGE = {'end_effector.mass': 0.5, 'end_effector.inertia': 0.01, 'arm.section.he
          'load.tip_force_y.piecewise.time': [0.0], 'load.tip_force_y.piecewise.value': [60.0]}
 
 
-@pytest.mark.parametrize('load, until', [(BUCKLED, 1.6), (LARGE, 1.0)], ids=['buckled', 'large'])
-def test_an_error_names_a_step_with_which_an_arm_that_stretches_does_not_diverge(load, until):
+# Errors grow while the arm buckles; measured: 1e-2 and below 1e-3 lengths.
+@pytest.mark.parametrize('load, until, limit', [
+    (BUCKLED, 1.6, 2e-2), (LARGE, 1.0, 1e-3)], ids=['buckled', 'large'])
+def test_an_arm_whose_steps_do_not_resolve_its_stretch_moves_as_with_finer_ones(
+        load, until, limit):
+    """The coarse steps see 1 to 3 periods of the axial vibration each, which once diverged."""
     scene = timo_sim.load_scene({}, {**BENT, **load})
-    with pytest.raises(timo_sim.DivergenceError) as error:
-        timo_sim.simulate(scene, until, estimate=False)
-    step = float(re.search('integrator.step = (.*?) s', str(error.value))[1])
-    assert re.search(r'\(step [0-9]+\)', str(error.value))
-    run = timo_sim.simulate(scene.vary({'integrator.step': step}), until, 40, estimate=False)
-    assert run.t[-1] == pytest.approx(until) and np.abs(run.q[:, 0]).max() > 0.05
+    run = timo_sim.simulate(scene, until, estimate=False)
+    assert 'axial vibrations slowed down to' in run.message
+    step = 0.005 / 512
+    fine = timo_sim.simulate(scene.vary({'integrator.step': step}), until, 512, estimate=False)
+    assert 'slowed down' not in fine.message and np.abs(fine.q[:, 0]).max() > 0.05
+    off = np.linalg.norm(run.position(2.0) - fine.position(2.0), axis=1)
+    assert off.max() < limit * 2.0
+
+
+def test_what_is_slowed_down_stretches_as_far_and_has_the_same_linear_model():
+    scene = timo_sim.load_scene({}, {**BENT, 'end_effector.mass': 2.0, 'arm.damping_ratio': [0.05],
+                                     'load.tip_force_x.piecewise.time': [0.0],
+                                     'load.tip_force_x.piecewise.value': [1e4]})
+    fine = scene.vary({'integrator.step': 1e-5})
+    assert scene.fastest == 100.0 and fine.fastest == np.inf
+    run = timo_sim.simulate(scene, 3.0, estimate=False)
+    section = scene.manipulator.arm.section
+    stretch = 1e4 * 2.0 / (section.young_modulus * section.area)
+    assert run.deflection()[-1, 0] == pytest.approx(stretch, rel=0.02)  # one mode: 1.4 % less
+    still = {'load.tip_force_x.piecewise.value': [0.0]}
+    linear = [timo_sim.linearize(each.vary(still)).A for each in (scene, fine)]
+    poles = [timo_sim.modes(each.vary(still)).poles for each in (scene, fine)]
+    assert np.array_equal(*linear) and np.array_equal(*poles)
 
 
 @pytest.mark.parametrize('axial', [1, 2])

@@ -52,6 +52,8 @@ from timo_sim.model.exact_code import BAND, BANDS, SECTORS, Tables
 from timo_sim.model.formulation import Formulation, Points
 from timo_sim.model.layout import ANGLE, LOADS, SPEED
 
+_SLOW = 0.1  # least damping ratio of an axial mode that is slowed down
+
 
 class Exact(Formulation):
     """The `exact` formulation, see the module's text."""
@@ -82,6 +84,10 @@ class Exact(Formulation):
             gear = np.array([[per_coordinate, self.gear.friction,
                               0.5 * self.gear.backlash / per_coordinate]])
         damping = np.append(self.manipulator.shaft_friction, 2.0 * self.damping * modes.omega)
+        for n in range(len(modes) - self.axial, len(modes)):  # (T67)
+            if (slower := modes.omega[n] / self.fastest) > 1.0:
+                rotary[1 + n, 1 + n] += slower**2 - 1.0
+                damping[1 + n] = 2.0 * max(self.damping[n], _SLOW) * modes.omega[n] * slower
 
         one_axis = len(self.axes) == 1
         # Number of last coordinates whose rates, not momenta, are in the state.

@@ -63,6 +63,8 @@ class Formulation(ABC):
         The same arm with another end effector, whose modes are assumed; by default its own.
     push : float
         Distance from the root to where the loads PUSH_X and PUSH_Y act [m]; 0: they do not.
+    fastest : float
+        Frequency to which faster axial modes are slowed down [rad/s], theory (T67).
 
     Attributes
     ----------
@@ -92,12 +94,12 @@ class Formulation(ABC):
                  constraints: Constraints = Constraints(), nodes: int | None = None,
                  static: tuple[str, ...] = (), axial: int = 0,
                  gravity: Sequence[float] = (0.0, 0.0), basis: Manipulator | None = None,
-                 push: float = 0.0) -> None:
+                 push: float = 0.0, fastest: float = math.inf) -> None:
         self.manipulator, self.constraints = manipulator, constraints
         self.gravity = np.array(gravity, dtype=float)
         basis = basis or manipulator
         self.modes: Modes = modes_of(basis, count, static)
-        self.axial = axial
+        self.axial, self.fastest = axial, fastest
         self.gear: Any = manipulator.gear
         if self.gear:
             self.modes = JoinedModes(self.modes, GearMode(self.gear))

@@ -218,8 +218,8 @@ def linearize(scene: SceneLike, at: np.ndarray | None = None, contact: str = '')
     half = len(at) // 2
     load = scene.load_at_start() if scene.values['initial.equilibrium'] else np.zeros(LOADS)
     load[ANGLE] = at[2]
-    # Small changes about an equilibrium do not reach the limit of the motor's current, and no
-    # step needs damping of static shapes.
+    # Small changes about an equilibrium do not reach the limit of the motor's current. A step of 0
+    # resolves all axial vibrations and static shapes.
     scene = replace(scene.vary({'motor.dc.current_limit': math.inf}), step=0.0)
     formulation = scene.build()
     state = formulation.state(at)

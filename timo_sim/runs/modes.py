@@ -137,7 +137,7 @@ def modes(scene: SceneLike, speed: float | None = None, contact: str = '') -> Vi
             'vibrations at a shaft speed need model.formulation = exact, since others lack '
             'centrifugal stiffening, and gravity = [0, 0], since it turns in the axes of the '
             f'arm; got {scene.values["model.formulation"]}, {list(scene.values["gravity"])}')
-    own, finer = (replace(each, constraints=constraints, manipulator=body) for each in (
+    own, finer = (replace(each, constraints=constraints, manipulator=body, step=0.0) for each in (
         refine(scene, 1, 0, 0, same_equations=True),
         refine(scene, 1, MORE_MODES, int(exact), same_equations=True)))
     warn_of_friction(own, own.build())

@@ -98,6 +98,10 @@ class Run(MotionFields, PointsOfArm):
         error = self.stats.get('estimated_tip_error_m', math.nan)
         if not math.isnan(error):
             found += f', the tip {error:.1g} m at most from that of a finer run'
+        if self.scene.fastest < math.inf:
+            found += (', axial vibrations slowed down to '
+                      f'{self.scene.fastest / (2.0 * math.pi):.3g} Hz, since steps do not '
+                      'resolve them')
         text = self.warning or f'{len(self.t)} samples until t = {self.t[-1]:.6g} s, {found}'
         return '; '.join(filter(None, (text, self.scene.left_out)))
 

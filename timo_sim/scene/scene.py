@@ -23,7 +23,7 @@ from timo_sim.model.bodies import (
     Beam, Constraints, Gear, Manipulator, SAME_PROFILE, Section, thinned)
 from timo_sim.model.formulation import Formulation
 from timo_sim.model.layout import AFTER, ANGLE, INPUTS, SPEED, START
-from timo_sim.model.modes import compliance, modes_of
+from timo_sim.model.modes import axial_modes, compliance, modes_of
 from timo_sim.model.statics import equilibrium
 from timo_sim.scene.files import flatten, read_parameter_file
 from timo_sim.scene.loads import (
@@ -42,6 +42,8 @@ _TERM_NAMES = {channel: tuple(f'load.{channel}.{name}' for name in (
 _MAX_NUMBER = 1e50  # products of six numbers, as in an energy, do not overflow
 _MAX_LENGTH = 30.0  # longest arm that is not taken for one in millimetres [m]
 _MIN_SLENDERNESS = 3.0  # length over height; a shorter arm is a block, not a beam
+# Phase of an axial vibration in a step with which no tested arm diverged [rad].
+RESOLVED = 0.5
 _OF_MATERIAL = 'density', 'young_modulus', 'shear_modulus'
 _JOINTS = 'carrier_x', 'carrier_y', 'shaft'
 _POSITION = [f'initial.{joint}' for joint in _JOINTS]
@@ -126,11 +128,24 @@ class Scene:
             values['model.formulation'], body, values['model.modes'],
             tuple(np.ravel(damping).tolist()), self.constraints, self.static,
             values['model.axial_modes'], tuple(values['gravity']), basis or body,
-            values['push.position'])
+            values['push.position'], self.fastest)
 
     @cached_property
     def _own_model(self):
         return self._model(self._damping, self.manipulator)
+
+    @cached_property
+    def fastest(self) -> float:
+        """
+        Frequency of the fastest axial vibration that steps resolve [rad/s]; infinite if all are.
+
+        Faster ones are slowed down to it, theory (T67): the stretch follows slow forces. With a
+        step of 0 all are resolved.
+        """
+        if not (count := self.values['model.axial_modes']) or not self.step:
+            return math.inf
+        omega = axial_modes(self.manipulator, count, self.constraints).omega
+        return RESOLVED / self.step if self.step * omega[-1] > RESOLVED else math.inf
 
     @cached_property
     def _damping(self):
@@ -450,10 +465,11 @@ def _needed_static(body, count):
 
 # Scenes that differ in loads, limits or initial motion share their equations of motion.
 @lru_cache(maxsize=4)
-def _shared_model(name, body, modes, damping, constraints, static, axial, gravity, basis, push):
+def _shared_model(name, body, modes, damping, constraints, static, axial, gravity, basis, push,
+                  fastest):
     return formulation_class(name)(body, modes, damping[0] if len(damping) == 1 else damping,
                                    constraints, static=static, axial=axial, gravity=gravity,
-                                   basis=basis, push=push)
+                                   basis=basis, push=push, fastest=fastest)
 
 
 def manipulator_of(values: Mapping[str, Any]) -> Manipulator:

@@ -78,17 +78,21 @@ def refine(scene: Scene, parts: int, modes: int | None = None, axial: int = MORE
     lists.update((name, tuple(on_boundaries(value, scene.step).tolist()))
                  for name, value in values.items() if name.endswith('.time'))
     equations = {} if same_equations else {'model.formulation': 'exact'}
-    finer = scene_from({**values, **lists, **equations, 'model.accuracy': 0.0,
+    found = scene_from({**values, **lists, **equations, 'model.accuracy': 0.0,
                         'model.modes': bending + modes, 'model.axial_modes': stretching + axial,
                         'integrator.step': scene.step / parts}, static)
-    if not own or not any(any(given[bending:bending + own]) for given in initial.values()):
-        return finer
-    # A static shape of the scene is a sum of further modes and a static shape of the finer one.
-    of, size = scene.build().modes, bending + modes + shapes
-    for name, given in initial.items():
-        fields = [partial(_field, each, np.array(given)) for each in (of.deflection, of.rotation)]
-        lists[name][:size] = finer.build().project_on_modes(*fields)[:size].tolist()
-    return scene_from({**finer.values, **lists}, static)
+    if any(any(given[bending:bending + own]) for given in initial.values()):
+        # A static shape of the scene is a sum of modes and static shapes of the finer one.
+        of, size = scene.build().modes, bending + modes + shapes
+        for name, given in initial.items():
+            fields = [partial(_field, each, np.array(given))
+                      for each in (of.deflection, of.rotation)]
+            lists[name][:size] = found.build().project_on_modes(*fields)[:size].tolist()
+        found = scene_from({**found.values, **lists}, static)
+    if not stretching or _axial_phase(scene, found.step) <= _AXIAL_PHASE:
+        found.__dict__['fastest'] = np.inf  # its vibration is seen, or critically damped
+        found.__dict__.pop('_own_model', None)
+    return found
 
 
 def _field(shapes, q, xi):

@@ -3,7 +3,6 @@
 
 """Warnings of runs that should not be trusted: their conditions, and texts with the remedy."""
 
-import math
 from typing import Any
 
 import numpy as np
@@ -11,8 +10,6 @@ import numpy as np
 from timo_sim.model.layout import Motion
 from timo_sim.scene.scene import Scene
 
-# Phase of the first axial vibration in a step with which no tested arm diverged [rad].
-_AXIAL_PHASE = 0.5
 # Longest step, in periods of a harmonic load; a step sees three values of the load.
 _MOST_OF_A_PERIOD = 0.25
 # Largest shift of the tip by what `newton` leaves out, and largest distance from a finer run,
@@ -99,18 +96,9 @@ def divergence(scene: Scene, model: Any, step: int, motion: np.ndarray,
     bend, largest = np.sum(travel[3:]), np.argmax(travel)
     name = (['carrier x', 'carrier y', 'shaft angle'] + [
         f'modal coordinate {n + 1}' for n in range(len(travel) - 3)])[largest]
-    smaller = 'a smaller integrator.step'
-    axial = scene.values['model.axial_modes']
-    if axial:
-        resolved = _AXIAL_PHASE / scene.build().modes.omega[-axial:].min()
-        if scene.step > resolved:
-            decade = 10.0**math.floor(math.log10(resolved))
-            shorter = max(k for k in (1, 2, 5) if k * decade <= resolved) * decade
-            smaller = (f'integrator.step = {shorter:.6g} s or less, which resolves axial '
-                       'vibrations, model.axial_modes 0')
     exact = scene.values['model.formulation'] == 'exact'
     return (f'the state diverges after t = {step * scene.step:.6g} s (step {step}), at {name} = '
-            f'{motion[largest]:.3g} with the arm bent by {bend:.3g} m: take {smaller}, '
-            'fewer model.modes or ' + (
+            f'{motion[largest]:.3g} with the arm bent by {bend:.3g} m: take a smaller '
+            'integrator.step, fewer model.modes or ' + (
                 'loads that bend it less' if exact else 'model.formulation exact') + (
                 f'; {warning}' if warning else ''))
