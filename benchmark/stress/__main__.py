@@ -30,6 +30,8 @@ PARTS = {
     'Errors that grow': scenes(hard_cell, 504, 12),
     'Linear models': lambda quick: table(
         ['modes', 'tried', *numerics.OUTPUTS], numerics.linear_rows(quick)),
+    'By hand': lambda quick: table(
+        ['scenes', 'tried', 'gain', 'frequencies'], numerics.by_hand_rows(quick)),
     'An hour': lambda quick: table(
         ['scene', 'formulation', 'energy', 'momentum', 'remark'], numerics.long_rows(quick)),
     'C code': c_code.part, 'Node': faults(node), 'Log': faults(log)}

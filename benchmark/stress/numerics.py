@@ -160,6 +160,57 @@ def linear_errors(number, modes, seed=1):
     return (np.abs(found - expected) / size).max(axis=0)
 
 
+def by_hand_rows(quick=False, seed=1):
+    """Yield largest errors of gains and frequencies that are known by hand, and refusals."""
+    for name, errors in ('measured section', section_errors), ('gear with backlash', gear_errors):
+        found = [errors(np.random.default_rng([seed, 3, number]))
+                 for number in range(10 if quick else 100)]
+        yield name, len(found), *(f'{each:.0e}' for each in np.max(found, axis=0))
+
+
+def section_errors(random):
+    """Return errors of gain and first three frequencies of a beam of Euler and Bernoulli."""
+    length, first, mass = np.exp(random.uniform([-2.0, -1.0, -3.0], [3.4, 6.0, 8.0]))
+    stiffness = mass * (first * length**2 / 1.87510407**2)**2
+    scene = timo_sim.load_scene({
+        'arm.length': length, 'arm.section.bending_stiffness': stiffness,
+        'arm.section.mass_per_length': mass, 'arm.section.height': 0.01 * length,
+        'carrier.held': 'both', 'motor.shaft': 'locked', 'initial.shaft': 0.0, 'model.modes': 3,
+        'end_effector.mass': 0.0, 'end_effector.inertia': 0.0})
+    gain = timo_sim.linearize(scene).select(['tip_force_y_N'], ['tip_y_m']).frequency_response(
+        [0.0])[0, 0, 0].real
+    wave = np.array([1.87510407, 4.69409113, 7.85475744])
+    omega = wave**2 * math.sqrt(stiffness / mass) / length**2
+    return (abs(gain * 3.0 * stiffness / length**3 - 1.0),
+            np.abs(timo_sim.modes(scene).omega[:3] / omega - 1.0).max())
+
+
+def gear_errors(random):
+    """Return errors of the shaft's gain far above, and of the frequency of two bodies."""
+    spring, inertia, rotor, play = np.exp(random.uniform([2.0, -5.0, -7.0, -7.0],
+                                                         [8.0, 1.0, 0.0, -2.0]))
+    scene = timo_sim.load_scene({
+        'arm.length': 0.4, 'model.modes': 0, 'carrier.held': 'both', 'initial.shaft': 0.0,
+        'end_effector.mass': 0.0, 'end_effector.inertia': 0.0, 'motor.shaft_inertia': inertia,
+        'motor.gear.stiffness': spring, 'motor.rotor.inertia': rotor,
+        'motor.gear.backlash': play, 'integrator.step': 1e-6})
+    for look in timo_sim.linearize, timo_sim.modes:
+        try:
+            look(scene)
+        except timo_sim.ParameterError:
+            continue
+        return math.inf, math.inf  # it must name the contact
+    arm, section = scene.manipulator.arm, scene.manipulator.arm.section
+    whole = (inertia + section.mass_per_length * arm.length**3 / 3.0
+             + section.inertia_per_length * arm.length)
+    omega = math.sqrt(spring * (1.0 / whole + 1.0 / rotor))
+    linear = timo_sim.linearize(scene, contact='closed').select(['torque_N_m'], ['shaft_rad'])
+    slow = 0.01 * omega
+    gain = linear.frequency_response([slow / (2.0 * math.pi)])[0, 0, 0].real
+    return (abs(gain * -(whole + rotor) * slow**2 * (1.0 - 1e-4) - 1.0),
+            abs(timo_sim.modes(scene, contact='closed').omega[0] / omega - 1.0))
+
+
 def long_rows(quick=False):
     """Yield energy drift and error of momentum of scenes without loads, over an hour."""
     hour = 60.0 if quick else 3600.0
