@@ -122,7 +122,8 @@ def test_a_driven_shaft_follows_the_samples():
 
 
 @pytest.mark.parametrize('more', [
-    {'carrier.held': 'none'}, {'gravity': [0.0, -9.81]}, {'motor.shaft': 'locked'},
+    {'carrier.held': 'none', 'carrier.mass': 5.0, 'motor.mass': 5.0}, {'gravity': [0.0, -9.81]},
+    {'motor.shaft': 'locked'},
     {'load.tip_force_y.harmonic': {'amplitude': [0.3], 'frequency': [1.0]},
      'load.tip_torque.harmonic': {'amplitude': [0.02], 'frequency': [2.0]}}])
 def test_strain_and_acceleration_are_those_of_the_sensors(more):

@@ -63,6 +63,20 @@ def test_what_is_refused_ends_a_node_with_one_line_and_code_2(start, tmp_path):
     assert not (tmp_path / 'tag').exists() and not [*tmp_path.glob('*.mcap')]
 
 
+def test_a_parameter_file_with_an_arm_has_no_number_of_the_papers(start, tmp_path):
+    path = tmp_path / 'short.yaml'
+    path.write_text('timo_sim: {ros__parameters: {arm: {length: 0.5, material: steel, section: '
+                    '{width: 0.02}}, carrier.held: both, motor.shaft_inertia: 0.01}}')
+    ends = '-p', 'duration:=0.01', '-p', 'real_time_factor:=0.0', '-p', 'record:=false'
+    code, output = start('--ros-args', '--params-file', str(path), *ends).wait()
+    assert code == 2 and 'arm.section.height must be given' in output
+    code, output = start('--ros-args', '--params-file', str(path), *ends,
+                         '-p', 'arm.section.height:=0.002').wait()
+    assert code == 0 and 'end_effector.mass = 0 (was 2)' in output
+    code, output = start('--ros-args', '-p', 'arm.length:=1.9', *ends).wait()
+    assert code == 0 and 'no longer' not in output  # the paper's arm, but for its length
+
+
 WITHOUT_DOCSTRINGS = """
 import sys
 from importlib.machinery import SourceFileLoader
