@@ -111,6 +111,15 @@ int main(void)
             EXPECT(arm_get_outputs(instance, outputs) == ARM_OK);
         }
     }
+    /* The last number is one of the motion. */
+    memcpy(other, state, sizeof state);
+    other[ARM_STATE_SIZE - 1] = 1e300;
+    EXPECT(arm_set_state(instance, other) == ARM_BAD_STATE);
+    other[ARM_STATE_SIZE - 1] = 1e50;
+    EXPECT(arm_set_state(instance, other) == ARM_OK);
+    EXPECT(arm_get_outputs(instance, outputs) == ARM_OK);
+    for (int k = 0; k < ARM_OUTPUTS; ++k)
+        EXPECT(isfinite(outputs[k]));
     EXPECT(arm_set_state(instance, state) == ARM_OK);
     for (int k = 0; k < ARM_INPUTS; ++k)
         EXPECT(arm_set_input(instance, k, 1e300) == ARM_OK);

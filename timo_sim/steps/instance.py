@@ -46,6 +46,7 @@ _OK, _NOT_FINITE, _BAD_STATE, _DIVERGED, _NOT_POSITIVE = (int(code) for code in 
 # and whether the finer run diverged.
 MARK, STEPS, PART, KNOWN, LOST = range(5)
 MAGIC = 0x74696d6f5f73696d  # 'timo_sim'
+_LARGEST = 1e60  # of a number of a saved motion; its fourth power is finite
 _MOST_STEPS = 2.0**53  # to which steps are counted in a saved state
 
 
@@ -373,6 +374,8 @@ def check_state(instance, values):
                 return _BAD_STATE
         elif not _finite(values[k]):
             return _NOT_FINITE
+        elif k >= _FRICTION and not -_LARGEST <= values[k] <= _LARGEST:
+            return _BAD_STATE
     return _OK
 
 
