@@ -26,7 +26,8 @@ from timo_sim.fitting.search import LOSSES, NUMERICAL, Search
 from timo_sim.fitting.suspects import name_suspects, Suspect, suspects
 from timo_sim.runs.run import Run
 from timo_sim.scene.files import whole_file
-from timo_sim.scene.parameters import changed, Parameter, ParameterError, short, warn
+from timo_sim.scene.parameters import (
+    changed, checked, FLAG, FUNCTION, MAPPING, Parameter, ParameterError, PATH, short, warn)
 from timo_sim.scene.scene import load_scene, Scene, SceneLike
 from timo_sim.simulation.finer import can_refine, refine
 from timo_sim.simulation.warnings import DivergenceError
@@ -282,6 +283,7 @@ class Fit(Prediction):
         """
         return next_inputs(self.posterior.search, self.information, self.scene, limit, duration)
 
+    @checked(path=PATH)
     def save(self, path: str | Path) -> Path:
         """Write the fitted scene as a parameter file for `sim_node`; an existing one is kept."""
         path, nested = Path(path), {}
@@ -307,6 +309,7 @@ _STARTS = Parameter('starts', 1, '', '', low=1, high=1_000_000)
 _WINDOW = Parameter('window', 1.0, 's', '', low=0.0, open_low=True)
 
 
+@checked(bounds=MAPPING, tell=FUNCTION, quick=FLAG)
 def fit(scene: SceneLike | None, record: RecordLike | Sequence[RecordLike], free: Sequence[str],
         bounds: Mapping[str, Sequence[float]] | None = None, hold_out: float = 0.0,
         window: float | None = None, loss: str = 'linear',

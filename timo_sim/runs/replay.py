@@ -23,7 +23,8 @@ from timo_sim.runs.simulate import resolve
 from timo_sim.runs.run import Run
 from timo_sim.scene.files import read_parameter_file
 from timo_sim.scene.parameters import (
-    check, DEFAULTS, frame_names, LATEST, Parameter, ParameterError, steps_in, whole_ratio)
+    check, checked, DEFAULTS, frame_names, LATEST, Parameter, ParameterError, PATH, steps_in, TEXT,
+    whole_ratio)
 from timo_sim.scene.scene import Scene, scene_from
 from timo_sim.simulation.simulator import CARRIER, Simulator
 from timo_sim.simulation.warnings import DivergenceError
@@ -37,6 +38,7 @@ _BATCH = 500  # most steps of one compiled call
 _START = Parameter('start', 0.0, 's', 'sim time of the first message', low=-LATEST, high=LATEST)
 
 
+@checked(path=PATH, node=TEXT)
 def open_log(path: str | Path, node: str | None = None) -> Run:
     """
     Open a log of the node, or of `Run.save`, as a run.

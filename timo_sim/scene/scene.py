@@ -27,8 +27,8 @@ from timo_sim.scene.files import flatten, read_parameter_file
 from timo_sim.scene.loads import (
     CHANNELS, check_slope, Drive, Harmonic, Load, Piecewise, Table)
 from timo_sim.scene.parameters import (
-    changed, check, DEFAULTS, DELAYS, did_you_mean, Parameter, ParameterError, PARAMETERS, SCENE,
-    short, warn, whole_ratio)
+    changed, check, checked, DEFAULTS, DELAYS, did_you_mean, MAPPING, NUMBER, Parameter,
+    ParameterError, PARAMETERS, SCENE, short, warn, whole_ratio)
 from timo_sim.topics.outputs import Output, outputs
 
 # Ranges of real solids; `load_scene` warns of values outside.
@@ -186,6 +186,7 @@ class Scene:
         """Return the scene with other values by name, nested or dotted; else ParameterError."""
         return scene_from({**self.values, **check(flatten(overrides), 'override')})
 
+    @checked(t=NUMBER)
     def at(self, run: Any, t: float) -> Scene:
         """
         Return the scene that begins with the state of a run of the same bodies at a sample, t [s].
@@ -265,6 +266,7 @@ class Scene:
 SceneLike = Scene | str | Path | Mapping[str, Any]
 
 
+@checked(overrides=MAPPING)
 def load_scene(source: SceneLike, overrides: Mapping[str, Any] | None = None) -> Scene:
     """
     Read and check a scene.
