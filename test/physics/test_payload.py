@@ -225,8 +225,8 @@ def test_a_saved_run_knows_its_loads(tmp_path):
 def test_modes_of_another_end_effector(formulation, static, bound):
     """Natural frequencies with a load that the five modes were not made for."""
     values = {'model.formulation': formulation, 'carrier.held': 'both', 'motor.shaft': 'locked'}
-    model = timo_sim.load_scene({}, {**values, 'model.modes': 5, 'model.static_modes': static}).build(
-        None, (4.0, 0.5))
+    model = timo_sim.load_scene({}, {
+        **values, 'model.modes': 5, 'model.static_modes': static}).build(None, (4.0, 0.5))
     truth = timo_sim.load_scene({}, {**values, 'end_effector.mass': 4.0}).build().modes.omega
     half = len(model.linear) // 2
     square = -model.linear[:half, half:] @ model.linear[half:, :half]

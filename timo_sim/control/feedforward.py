@@ -14,7 +14,8 @@ from scipy import sparse
 from scipy.optimize import linprog
 
 from timo_sim.runs.linear import LinearModel
-from timo_sim.scene.parameters import Parameter, ParameterError, short, warn, whole_ratio
+from timo_sim.scene.parameters import (
+    checked, NUMBER, Parameter, ParameterError, short, warn, whole_ratio)
 
 _GOAL = Parameter('goal', (), '', '')
 _DURATION = Parameter('duration', 1.0, 's', '', low=0.0, open_low=True)
@@ -40,6 +41,7 @@ class Plan:
         with np.printoptions(threshold=20, edgeitems=1):
             return f'Plan(t={self.t}, x={self.x}, u={self.u}, y={self.y})'
 
+    @checked(t=NUMBER)
     def at(self, t: float) -> 'Plan':
         """Return the period nearest to a time [s], of those there are, without the first axis."""
         place = min(max(round(t / self.t[1]), 0), len(self.t) - 1)

@@ -15,7 +15,8 @@ from numpy.typing import ArrayLike
 from timo_sim.model.formulation import PointsOfArm
 from timo_sim.model.layout import INPUTS, Motion
 from timo_sim.runs.linear import difference_steps, state_names, state_places
-from timo_sim.scene.parameters import Parameter, ParameterError, short, warn, whole_ratio
+from timo_sim.scene.parameters import (
+    checked, MAPPING, Parameter, ParameterError, short, warn, whole_ratio)
 from timo_sim.scene.scene import load_scene, SceneLike
 from timo_sim.simulation.derivatives import unit_loads, why_not_differentiable
 from timo_sim.simulation.loads import ARGUMENTS, check_arguments
@@ -171,6 +172,7 @@ class Observer(Stateful, PointsOfArm):
         replace(_NAME, name='expected').check(sensor)
         return self._readings([sensor], np.zeros((1, self.model.size + len(self.disturbance))))[0]
 
+    @checked(measured=MAPPING, command=MAPPING)
     def update(self, measured: Mapping[str, Any], command: Mapping[str, Any] | None = None,
                dt: float | None = None) -> Motion:
         """

@@ -12,7 +12,7 @@ import numpy as np
 from numpy.typing import ArrayLike
 
 from timo_sim.runs.modes import modes as vibrations
-from timo_sim.scene.parameters import Parameter, ParameterError
+from timo_sim.scene.parameters import checked, FUNCTION, NUMBERS, Parameter, ParameterError
 from timo_sim.scene.scene import SceneLike
 
 _ROUND_OFF = 1e-9  # relative, of a pole and of a number of periods
@@ -25,11 +25,13 @@ class Shaper:
     times: np.ndarray
     amplitudes: np.ndarray
 
+    @checked(command=FUNCTION)
     def shape(self, command: Callable[[Any], Any]) -> Callable[[Any], Any]:
         """Return a function of time [s], shaped; the given one is asked for earlier times, too."""
         return lambda t: sum(amplitude * np.asarray(command(t - time))
                              for time, amplitude in zip(self.times, self.amplitudes))
 
+    @checked(samples=NUMBERS)
     def shape_samples(self, samples: Sequence[float] | np.ndarray, dt: float) -> np.ndarray:
         """
         Return samples at intervals dt [s], shape (k,), shaped: (k + times[-1] / dt,), rounded up.
@@ -41,6 +43,7 @@ class Shaper:
         t = dt * np.arange(len(samples) + math.ceil(self.times[-1] / dt - _ROUND_OFF))
         return self.shape(lambda at: np.interp(at, t[:len(samples)], samples))(t)
 
+    @checked(frequency=NUMBERS, damping=NUMBERS)
     def residual(self, frequency: ArrayLike, damping: ArrayLike = 0.0) -> np.ndarray:
         """
         Return the residual vibration of modes, as a share of that after one impulse (T52).
@@ -83,6 +86,8 @@ def shaper(plant: SceneLike | list[complex] | np.ndarray, kind: str = 'ZVD', mod
     left = Parameter('tolerance', 0.0, '', '', low=0.0, high=1.0, open_low=True).check(tolerance)
     if isinstance(plant, (list, np.ndarray)):
         poles = np.ravel(np.asarray(plant, dtype=complex))
+        if not len(poles):
+            raise ParameterError('plant must be a scene or have at least one pole, got none')
     else:
         poles = vibrations(plant, contact=contact).poles
         poles = poles[:Parameter('modes', 1, '', '', low=1, high=len(poles)).check(modes)]

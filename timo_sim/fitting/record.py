@@ -29,7 +29,9 @@ from timo_sim.log.tables import Recording
 from timo_sim.model.layout import INPUTS, with_unit
 from timo_sim.runs.replay import segments_of
 from timo_sim.scene.files import read_yaml
-from timo_sim.scene.parameters import DEFAULTS, did_you_mean, Parameter, ParameterError, short
+from timo_sim.scene.parameters import (
+    checked, DEFAULTS, did_you_mean, MAPPING, NUMBER, Parameter, ParameterError, PATH, short,
+    TEXT)
 from timo_sim.scene.scene import Scene
 from timo_sim.topics.commands import COMMANDED, COMMANDS
 from timo_sim.topics.outputs import SENSORS, title
@@ -145,6 +147,7 @@ class Record:
     source: str = 'given arrays'
 
     @staticmethod
+    @checked(inputs=MAPPING, outputs=MAPPING, noise=MAPPING, source=TEXT)
     def of(inputs: Mapping[str, Any], outputs: Mapping[str, Any],
            noise: Mapping[str, float] | None = None, source: str = 'given arrays') -> Record:
         """
@@ -200,6 +203,7 @@ class Record:
                                      f'{", ".join(self.outputs)} ({self.source})')
         return replace(self, outputs={name: self.outputs[name] for name in outputs})
 
+    @checked(start=NUMBER, end=(lambda end: end > 0.0, 'a number > 0'))
     def cut(self, start: float = 0.0, end: float = np.inf) -> Record:
         """
         Return the part from `start` to `end` [s], whose time begins at 0 again.
@@ -207,6 +211,10 @@ class Record:
         An input that has no sample in it keeps the value that acts there. Raises ParameterError
         if an output has too few samples in it.
         """
+        if not 0.0 <= start < end:
+            raise ParameterError(f'start and end must be 0 <= start < end, got {start:g} and '
+                                 f'{end:g}')
+
         def part(name, channel, is_input):
             first, last = np.searchsorted(channel.t, [start, end])
             if is_input and first and (first == len(channel.t) or channel.t[first] > start):
@@ -547,6 +555,7 @@ _NOT_REAL = {'c': 'it has complex ones', 'M': 'it has stamps', 'm': 'it has dura
 _RULES['file'] = Parameter('file', '', '', '')
 
 
+@checked(path=PATH)
 def read_record(path: str | Path,
                 mapping: str | Path | Mapping[str, Any] | None = None) -> Record:
     """

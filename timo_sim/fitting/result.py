@@ -25,7 +25,8 @@ from timo_sim.fitting.search import LOSSES, NUMERICAL, reason_of, Search
 from timo_sim.fitting.suspects import name_suspects, Suspect, suspects
 from timo_sim.runs.run import Run
 from timo_sim.scene.files import scene_text, whole_file
-from timo_sim.scene.parameters import Parameter, ParameterError, short, warn
+from timo_sim.scene.parameters import (
+    checked, FLAG, FUNCTION, MAPPING, Parameter, ParameterError, PATH, short, warn)
 from timo_sim.scene.scene import load_scene, Scene, SceneLike
 from timo_sim.simulation.finer import refine
 
@@ -300,6 +301,7 @@ class Fit(Prediction):
         if self.posterior is None:
             raise ParameterError(f'{what} must have intervals, before which the fit was stopped')
 
+    @checked(path=PATH)
     def save(self, path: str | Path) -> Path:
         """Write the fitted scene, all of it, as a parameter file; an existing one is kept."""
         path = Path(path)
@@ -319,6 +321,7 @@ _WINDOW = Parameter('window', 1.0, 's', '', low=0.0, open_low=True)
 _TIME = Parameter('time', 1.0, 's', '', low=0.0, open_low=True)
 
 
+@checked(bounds=MAPPING, tell=FUNCTION, quick=FLAG)
 def fit(scene: SceneLike | None, record: RecordLike | Sequence[RecordLike], free: Sequence[str],
         bounds: Mapping[str, Sequence[float]] | None = None, hold_out: float = 0.0,
         window: float | None = None, loss: str = 'linear',

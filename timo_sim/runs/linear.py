@@ -20,7 +20,8 @@ from timo_sim.model.layout import (
     ANGLE, INPUTS, LOADS, Motion, PUSH_X, PUSH_Y, rotate, TIP_TORQUE, TIP_X, TIP_Y, TORQUE,
     VOLTAGE)
 from timo_sim.scene.loads import CHANNELS
-from timo_sim.scene.parameters import did_you_mean, Parameter, ParameterError, warn
+from timo_sim.scene.parameters import (
+    checked, did_you_mean, NUMBERS, Parameter, ParameterError, TEXTS, warn)
 from timo_sim.scene.scene import load_scene, motor_constants, Scene, SceneLike
 from timo_sim.simulation.snapshot import Joints
 from timo_sim.steps.bristles import COLUMNS
@@ -74,6 +75,7 @@ class LinearModel:
         return (f'<LinearModel: {len(self.states)} states, inputs {", ".join(self.inputs)}, '
                 f'outputs {", ".join(self.outputs)}, {time}>')
 
+    @checked(inputs=TEXTS, outputs=TEXTS)
     def select(self, inputs: Sequence[str] | None = None,
                outputs: Sequence[str] | None = None) -> LinearModel:
         """
@@ -87,10 +89,12 @@ class LinearModel:
                        inputs=tuple(self.inputs[place] for place in u),
                        outputs=tuple(self.outputs[place] for place in y))
 
+    @checked(motion=NUMBERS)
     def state(self, motion: Motion | ArrayLike) -> np.ndarray:
         """Return the states `x` of motions, shape (..., 2 (3 + N)), shape (..., m)."""
         return (np.asarray(motion) - self.equilibrium)[..., self.places]
 
+    @checked(x=NUMBERS)
     def to_motion(self, x: ArrayLike) -> Motion:
         """Return the Motion of states `x`, shape (..., m); other coordinates are at rest."""
         x = np.asarray(x, dtype=float)
@@ -125,6 +129,7 @@ class LinearModel:
         a, b, c, d, _ = cont2discrete((self.A, self.B, self.C, self.D), dt, method='zoh')
         return replace(self, A=a, B=b, C=c, D=d, dt=dt)
 
+    @checked(frequency=NUMBERS)
     def frequency_response(self, frequency: Any) -> np.ndarray:
         """Return outputs per input at frequencies, shape (n,) [Hz], complex, (n, y, u)."""
         s = 2j * np.pi * np.asarray(frequency, dtype=float)[:, np.newaxis, np.newaxis]
@@ -168,6 +173,7 @@ _UNLOADED = 1e-9  # torque of a gear that is not loaded, relative to stiffness t
 _LEFT_OUT = 0.02  # largest share of a static response that rates may lack without a warning
 
 
+@checked(at=NUMBERS)
 def linearize(scene: SceneLike, at: np.ndarray | None = None, contact: str = '') -> LinearModel:
     """
     Return the linear model of a scene about a state of rest, without dry friction that sticks.

@@ -127,7 +127,7 @@ def modes(scene: SceneLike, speed: float | None = None, contact: str = '') -> Vi
     exact = scene.values['model.formulation'] == 'exact'
     if scene.values['initial.equilibrium']:
         load = scene.load_at_start()
-    load[ANGLE], load[SPEED] = start[2], _SPEED.check(speed or 0.0)
+    load[ANGLE], load[SPEED] = start[2], _SPEED.check(0.0 if speed is None else speed)
     body = scene.manipulator
     if speed is not None:
         constraints = Constraints(tuple(start[:2].tolist()), driven=True)

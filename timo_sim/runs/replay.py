@@ -21,7 +21,8 @@ from timo_sim.log.write import CHANGE, change_note, NewLog, environment_differen
 from timo_sim.runs.simulate import resolve
 from timo_sim.runs.run import Run
 from timo_sim.scene.parameters import (
-    check, DEFAULTS, frame_names, LATEST, Parameter, ParameterError, steps_in, whole_ratio)
+    check, checked, DEFAULTS, frame_names, LATEST, Parameter, ParameterError, PATH, steps_in, TEXT,
+    whole_ratio)
 from timo_sim.scene.scene import Scene, scene_from, values_of
 from timo_sim.simulation.simulator import Simulator
 from timo_sim.simulation.warnings import DivergenceError
@@ -36,6 +37,7 @@ _MOST_SAMPLES = 10**7  # of a topic that a recording lacks: a day at 100 Hz
 _START = Parameter('start', 0.0, 's', 'sim time of the first message', low=-LATEST, high=LATEST)
 
 
+@checked(path=PATH, node=TEXT)
 def open_log(path: str | Path, node: str | None = None) -> Run:
     """
     Open a log of the node, or of `Run.save`, as a run.

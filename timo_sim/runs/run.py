@@ -19,7 +19,7 @@ import numpy as np
 from timo_sim.extras import optional
 from timo_sim.model.formulation import Formulation, PointsOfArm
 from timo_sim.model.layout import LOADS, Motion, MotionFields
-from timo_sim.scene.parameters import DEFAULTS, warn
+from timo_sim.scene.parameters import checked, DEFAULTS, PATH, warn
 from timo_sim.scene.scene import Scene
 from timo_sim.simulation.energy import integral
 from timo_sim.simulation.loads import pieces
@@ -236,6 +236,7 @@ class Run(MotionFields, PointsOfArm):
             import pandas
         return pandas.DataFrame(self.columns()).set_index('time_s')
 
+    @checked(path=PATH)
     def save(self, path: str | Path) -> Path:
         """
         Write the run to a file; return the Path that was written.

@@ -13,7 +13,7 @@ import numpy as np
 
 from timo_sim.model.layout import INPUTS
 from timo_sim.scene.parameters import (
-    Parameter, ParameterError, short, steps_in, warn)
+    checked, FUNCTION, MAPPING, Parameter, ParameterError, short, steps_in, warn)
 from timo_sim.scene.scene import (
     INITIAL, initial_names, initial_scale, load_scene, number_of, overrides_of, SceneLike)
 from timo_sim.simulation.batch import Batch
@@ -43,6 +43,7 @@ class Sensitivities:
     error: np.ndarray
 
 
+@checked(output=FUNCTION, commands=MAPPING)
 def sensitivities(scene: SceneLike, duration: float,
                   output: Callable[[Batch], np.ndarray] = Batch.position,
                   parameters: Sequence[str] | Mapping[str, float] = (),

@@ -13,7 +13,8 @@ from typing import NamedTuple
 import numpy as np
 
 from timo_sim.runs.run import Run, run_scene
-from timo_sim.scene.parameters import Parameter, ParameterError, PARAMETERS, steps_in, warn
+from timo_sim.scene.parameters import (
+    checked, FLAG, Parameter, ParameterError, PARAMETERS, steps_in, warn)
 from timo_sim.scene.scene import load_scene, needed_static, Scene, scene_from, SceneLike
 from timo_sim.simulation.finer import choose_parts, refine, tip_distance
 from timo_sim.simulation.warnings import (
@@ -259,6 +260,7 @@ _EVERY = Parameter('sample_every', 1, '', 'steps between samples', low=1)
 _LEAST_COMPARED = 200  # the same, if there are fewer
 
 
+@checked(estimate=FLAG)
 def simulate(scene: SceneLike, duration: float, sample_every: int = 1,
              estimate: bool = True) -> Run:
     """

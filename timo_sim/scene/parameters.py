@@ -12,11 +12,14 @@ an element of a list.
 from collections.abc import Callable, Iterable, Mapping
 from dataclasses import dataclass
 import difflib
+import functools
+import inspect
 import math
+import os
 import re
 import reprlib
 import sys
-from typing import Any
+from typing import Any, TypeVar
 import warnings
 
 import numpy as np
@@ -27,6 +30,7 @@ from timo_sim.model.layout import INPUTS
 from timo_sim.topics.outputs import FRAMES, outputs, SENSORS, TRANSFORMS
 
 SCENE, NODE = 'scene', 'node'
+_Function = TypeVar('_Function', bound=Callable)
 LATEST = 2**31 - 1  # [s] largest time that a stamp of ROS can hold, 68 years
 MOST_STEPS = 100000  # of one call of a service of the node
 
@@ -481,6 +485,57 @@ def frame_names(values: Mapping[str, Any]) -> dict[str, str]:
         raise ParameterError('frame.world, frame.carrier, frame.arm and frame.tip must differ, '
                              f'got {", ".join(map(short, names.values()))}')
     return names
+
+
+def _is_number(value):
+    return not isinstance(value, bool) and math.isfinite(value)
+
+
+def _are_numbers(value):
+    # Complex numbers, texts and objects are no floats of the same kind.
+    return np.isfinite(np.asarray(value).astype(float, casting='same_kind')).all()
+
+
+def _are_texts(value):
+    return isinstance(value, (list, tuple)) and all(isinstance(each, str) for each in value)
+
+
+# Rules of arguments that are no parameters: a test, and the same in words.
+FLAG: Any = lambda value: isinstance(value, (bool, np.bool_)), 'true or false'
+FUNCTION: Any = callable, 'a function'
+MAPPING: Any = lambda value: isinstance(value, Mapping), 'values by name'
+NUMBER: Any = _is_number, 'a finite number'
+NUMBERS: Any = _are_numbers, 'a finite number, or an array of them,'
+PATH: Any = lambda value: isinstance(value, (str, os.PathLike)), 'a path'
+TEXT: Any = lambda value: isinstance(value, str), 'a text'
+TEXTS: Any = _are_texts, 'a list of names'
+
+
+def checked(**rules: Any) -> Callable[[_Function], _Function]:
+    """
+    Return a decorator: a function's arguments must keep these rules, or are a ParameterError.
+
+    None is also right for an argument of which it is the default.
+    """
+    def decorate(function):
+        signature = inspect.signature(function)
+        optional = [name for name, each in signature.parameters.items() if each.default is None]
+
+        @functools.wraps(function)
+        def call(*args, **keywords):
+            for name, value in signature.bind(*args, **keywords).arguments.items():
+                if name not in rules or value is None and name in optional:
+                    continue
+                test, words = rules[name]
+                try:
+                    good = test(value)
+                except (TypeError, ValueError, OverflowError):
+                    good = False
+                if not good:
+                    raise ParameterError(f'{name} must be {words}, got {short(value)}')
+            return function(*args, **keywords)
+        return call
+    return decorate
 
 
 def steps_in(duration: Any, step: float) -> int:

@@ -29,7 +29,8 @@ from timo_sim.scene.files import flatten, read_parameter_file
 from timo_sim.scene.loads import (
     CHANNELS, check_slope, Drive, Harmonic, Load, Piecewise, Table)
 from timo_sim.scene.parameters import (
-    changed, check, complete, DELAYS, did_you_mean, find_outdated, gives_arm, Parameter,
+    changed, check, checked, complete, DELAYS, did_you_mean, find_outdated, gives_arm, MAPPING,
+    NUMBER, Parameter,
     ParameterError, PARAMETERS, SCENE, short, warn, whole_ratio)
 from timo_sim.topics.outputs import Output, outputs
 
@@ -230,6 +231,7 @@ class Scene:
         names = {loads: name for name, loads in _STATIC.items()}
         return self.vary({'model.static_modes': names[self.static]})
 
+    @checked(t=NUMBER)
     def at(self, run: Any, t: float) -> Scene:
         """
         Return the scene that begins with the state of a run of the same bodies at a sample, t [s].
@@ -316,6 +318,7 @@ class Scene:
 SceneLike = Scene | str | Path | Mapping[str, Any]
 
 
+@checked(overrides=MAPPING)
 def load_scene(source: SceneLike, overrides: Mapping[str, Any] | None = None) -> Scene:
     """
     Read and check a scene.

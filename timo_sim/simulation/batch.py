@@ -6,6 +6,7 @@
 from __future__ import annotations
 
 from collections.abc import Iterable, Sequence
+from dataclasses import replace
 from typing import Any
 
 import numpy as np
@@ -286,6 +287,7 @@ class Batch(Stateful):
 
     def advance_tips(self, count: int) -> np.ndarray:
         """Advance by `count` > 0 steps; return the tip after each, (n, count, 3), as `tip`."""
+        count = replace(COUNT, low=1).check(count)
         with self._lock:
             tips = self._advance(count, None, 0, with_tips=True)[1]
             return from_lanes(np.concatenate(tips, axis=1), self.n)

@@ -37,7 +37,7 @@ from timo_sim.steps.steps import CHUNK, Samples
 
 # Deflection beyond which the run counts as diverged, in arm lengths.
 MOST_BENT = 10.0
-COUNT = Parameter('count', 1, '', 'number of steps', low=0)
+COUNT = Parameter('count', 1, '', 'number of steps', low=0, high=2**53)
 SAMPLE_EVERY = Parameter('sample_every', 1, '', 'steps between samples, 0: none', low=0)
 _MOST_BEHIND = 256  # most calls of `advance` that the finer run may be behind
 # Steps for which the finer run is called at once: a call takes as long as some steps.
