@@ -7,7 +7,7 @@ from __future__ import annotations
 
 from dataclasses import dataclass, replace
 import math
-from typing import TYPE_CHECKING
+from typing import Any, TYPE_CHECKING
 
 import numpy as np
 from numpy.typing import ArrayLike
@@ -130,7 +130,8 @@ def modes(scene: SceneLike, speed: float | None = None) -> Vibrations:
             'vibrations at a shaft speed need model.formulation = exact, since others lack '
             'centrifugal stiffening, and gravity = [0, 0], since it turns in the axes of the '
             f'arm; got {scene.values["model.formulation"]}, {list(scene.values["gravity"])}')
-    own = {'constraints': constraints, 'manipulator': body, 'step': 0.0}  # all are resolved
+    own: dict[str, Any] = {'constraints': constraints, 'manipulator': body,
+                           'step': 0.0}  # which resolves all axial modes
     model, finer = (replace(each, **own).build() for each in (
         refine(scene, 1, 0, 0, same_equations=True),
         refine(scene, 1, MORE_MODES, int(exact), same_equations=True)))
