@@ -30,8 +30,7 @@ from timo_sim.scene.loads import (
     CHANNELS, check_slope, Drive, Harmonic, Load, Piecewise, Table)
 from timo_sim.scene.parameters import (
     changed, check, checked, complete, DELAYS, did_you_mean, find_outdated, gives_arm, MAPPING,
-    NUMBER, Parameter,
-    ParameterError, PARAMETERS, SCENE, short, warn, whole_ratio)
+    NUMBER, Parameter, ParameterError, PARAMETERS, SCENE, short, warn, whole_ratio)
 from timo_sim.topics.outputs import Output, outputs
 
 # Ranges of real solids; `load_scene` warns of values outside.
