@@ -222,7 +222,7 @@ from timo_sim.compiled import machine, store
 store.PREBUILT /= 'none'  # an installation may have code of these sizes
 print(numba.njit(lambda: 1).__class__.__name__)
 for modes in sys.argv[1]:
-    scene = timo_sim.load_scene({
+    scene = timo_sim.load_scene({}, {
         'model.modes': int(modes), 'model.formulation': 'newton', 'initial.shaft_velocity': 3.0,
         # The modes of an arm with a profile call no compiled function.
         'arm.profile.position': [0.0, 2.0], 'arm.profile.height': [0.02, 0.02]})

@@ -46,6 +46,7 @@ STRETCHING = {'arm.section.height': 0.08, 'arm.young_modulus': 1e9, 'arm.density
 def scene_of(formulation, constraints, damping=0.03, **values):
     return timo_sim.load_scene({}, {
         'model.formulation': formulation, 'model.modes': MODES, 'integrator.step': 0.0005,
+        'model.static_modes': 'none',
         'arm.shear_modulus': 1e6, 'gravity': GRAVITY, 'arm.damping_ratio': [damping],
         'carrier.viscous_friction': DRAG[0], 'motor.viscous_friction': DRAG[2],
         'initial.modal_rates': [1.0, 0.3, -0.1],
@@ -56,7 +57,7 @@ def scene_of(formulation, constraints, damping=0.03, **values):
         'load.tip_force_x.harmonic.frequency': [1.5],
         'load.tip_force_y.table.time': [0.0, 1.0], 'load.tip_force_y.table.value': [-0.5, 0.5],
         'load.tip_torque.harmonic.amplitude': [0.4], 'load.tip_torque.harmonic.frequency': [3.0],
-        **values}, CONSTRAINTS[constraints])
+        **values, **CONSTRAINTS[constraints]})
 
 
 def loads(t, theta):

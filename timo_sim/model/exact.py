@@ -84,10 +84,9 @@ class Exact(Formulation):
             gear = np.array([[per_coordinate, self.gear.friction,
                               0.5 * self.gear.backlash / per_coordinate]])
         damping = np.append(self.manipulator.shaft_friction, 2.0 * self.damping * modes.omega)
-        for n in range(len(modes) - self.axial, len(modes)):  # (T67)
-            if (slower := modes.omega[n] / self.fastest) > 1.0:
-                rotary[1 + n, 1 + n] += slower**2 - 1.0
-                damping[1 + n] = 2.0 * max(self.damping[n], _SLOW) * modes.omega[n] * slower
+        for n in np.flatnonzero(self.slower > 1.0):  # (T67)
+            rotary[1 + n, 1 + n] += self.slower[n]**2 - 1.0
+            damping[1 + n] = 2.0 * max(self.damping[n], _SLOW) * modes.omega[n] * self.slower[n]
 
         one_axis = len(self.axes) == 1
         # Number of last coordinates whose rates, not momenta, are in the state.

@@ -99,7 +99,7 @@ class Formulation(ABC):
         self.gravity = np.array(gravity, dtype=float)
         basis = basis or manipulator
         self.modes: Modes = modes_of(basis, count, static)
-        self.axial, self.fastest = axial, fastest
+        self.axial = axial
         self.gear: Any = manipulator.gear
         if self.gear:
             self.modes = JoinedModes(self.modes, GearMode(self.gear))
@@ -107,6 +107,10 @@ class Formulation(ABC):
         self.own_modes = basis == manipulator
         if axial:
             self.modes = JoinedModes(self.modes, axial_modes(basis, axial, constraints))
+        # Axial modes are the last; of others none is slowed down.
+        self.slower = np.ones(len(self.modes))
+        if axial:
+            self.slower[-axial:] = np.maximum(1.0, self.modes.omega[-axial:] / fastest)
         arm = len(self.modes) - bool(self.gear)
         self.damping = np.broadcast_to(np.asarray(damping, dtype=float), (arm,))
         self.size = 2 * (3 + len(self.modes))
@@ -451,6 +455,7 @@ class Formulation(ABC):
         matrix = (np.einsum('kpi,p,lpi->kl', velocity, self.point_mass, velocity)
                   + (turning * self.point_inertia) @ turning.T)
         matrix[range(3), range(3)] += [body.base_mass, body.base_mass, body.shaft_inertia]
+        matrix[range(3, half), range(3, half)] += self.slower**2 - 1.0
         if self.gear:
             matrix += self.gear.inertia * np.outer(self.rotor, self.rotor)
         return matrix, np.vstack([velocity[:, -1].T, turning[:, -1]])
