@@ -50,7 +50,7 @@ def elastica(load):
     return np.array([angle, across, 1.0 - np.sqrt(2.0 * np.sin(angle) / load)])
 
 
-def boundary_value(section, tip_load, line_load):
+def boundary_value(section, tip_load, line_load, length=LENGTH, stretches=False):
     """
     Return what `elastica` does, with shear and a distributed load, by a boundary value solver.
 
@@ -63,25 +63,30 @@ def boundary_value(section, tip_load, line_load):
     section : Section
     tip_load, line_load : float or ndarray, shape (2,)
         Across the undeformed arm, or along and across it [N], [N/m].
+    length : float
+        [m]
+    stretches : bool
+        Whether the arm does, by `(p cos(phi) + n sin(phi)) / (E A)`.
 
     """
     tip_load, line_load = (np.append(np.zeros(2 - np.size(load)), load)
                            for load in (tip_load, line_load))
 
     def slopes(xi, y):
-        pull, force = tip_load[:, np.newaxis] + np.multiply.outer(line_load, LENGTH - xi)
+        pull, force = tip_load[:, np.newaxis] + np.multiply.outer(line_load, length - xi)
         cosine, sine = np.cos(y[0]), np.sin(y[0])
         shear = (force * cosine - pull * sine) / section.shear_stiffness
-        along, across = cosine - shear * sine, sine + shear * cosine
+        stretch = 1.0 + stretches * (pull * cosine + force * sine) / section.axial_stiffness
+        along, across = stretch * cosine - shear * sine, stretch * sine + shear * cosine
         return np.stack([y[1] / section.bending_stiffness, pull * across - force * along,
                          along, across])
-    mesh = np.linspace(0.0, LENGTH, 101)
-    guess = np.stack([0.5 * mesh, 1.0 - mesh / LENGTH, mesh, 0.2 * mesh**2])
+    mesh = np.linspace(0.0, length, 101)
+    guess = np.stack([0.5 * mesh, 1.0 - mesh / length, mesh, 0.2 * mesh**2])
     solution = solve_bvp(slopes, lambda root, tip: np.array([root[0], tip[1], root[2], root[3]]),
                          mesh, guess, tol=1e-10, max_nodes=20000)
     assert solution.success, solution.message
-    angle, _, along, across = solution.sol(LENGTH)
-    return np.array([angle, across / LENGTH, 1.0 - along / LENGTH])
+    angle, _, along, across = solution.sol(length)
+    return np.array([angle, across / length, 1.0 - along / length])
 
 
 def compare(modes, load, formulation='exact', step=0.005):

@@ -33,7 +33,7 @@ def soft_in_shear(ratio):
 
 @pytest.mark.parametrize('shear', [{}, soft_in_shear(20.0)], ids=['slender', 'soft in shear'])
 @pytest.mark.parametrize('static', ['auto', 'none'])
-@pytest.mark.parametrize('modes', [3, 8, 16])
+@pytest.mark.parametrize('modes', [3, 8, 36])
 def test_the_estimate_under_a_tip_torque_is_the_distance_to_the_arc(modes, static, shear):
     values = {**BARE, **shear, 'initial.equilibrium': True, 'model.modes': modes,
               'model.static_modes': static, 'load.tip_torque.piecewise.time': [0.0]}
@@ -48,6 +48,20 @@ def test_the_estimate_under_a_tip_torque_is_the_distance_to_the_arc(modes, stati
     else:
         assert 0.5 < estimate / error < 2.0 and error > 1e-5
         assert error < 5e-4 or 'model.static_modes auto' in run.warning
+
+
+@pytest.mark.parametrize('modes, share', [(16, 1e-3), (36, 1e-4)])
+def test_many_modes_that_need_no_shape_are_compared_with_a_run_that_has_it(modes, share):
+    """A tip of a thousandth of the arm: two more modes would see a third of the error."""
+    tip = {'end_effector.mass': 0.81 * share, 'end_effector.inertia': 0.081 * share}
+    scene = timo_sim.load_scene({}, {**BARE, **tip, 'model.modes': modes})
+    torque, end = arc(scene)
+    run = timo_sim.simulate(scene.vary({
+        'initial.equilibrium': True, 'load.tip_torque.piecewise.time': [0.0],
+        'load.tip_torque.piecewise.value': [torque]}), 0.004)
+    error = np.hypot(*(run.position()[-1] - end))
+    assert scene.static == () and 1e-7 < error < 1e-4
+    assert run.stats['estimated_tip_error_m'] == pytest.approx(error, rel=0.05)
 
 
 def test_shapes_follow_the_modes_and_only_a_light_tip_has_them():

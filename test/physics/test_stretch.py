@@ -160,6 +160,21 @@ def test_stretch_that_matters_gives_a_warning():
                              10).warning is None
 
 
+@pytest.mark.parametrize('axial', range(4))
+def test_the_remedy_of_a_pulled_arm_is_one_more_axial_mode(axial):
+    """A soft arm of a kilogram is 10 % longer in the end; the most axial modes have no remedy."""
+    scene = timo_sim.load_scene({
+        'arm.length': 1.0, 'arm.section.height': 0.1, 'arm.section.width': 0.01,
+        'arm.density': 1000.0, 'arm.young_modulus': 1e6, 'arm.shear_modulus': 3.4e5,
+        'carrier.held': 'both', 'motor.shaft': 'locked', 'initial.equilibrium': True,
+        'load.tip_force_x.piecewise.time': [0.0], 'load.tip_force_x.piecewise.value': [100.0],
+        'model.axial_modes': axial})
+    with pytest.warns(timo_sim.ModelWarning, match=f'take model.axial_modes {axial + 1}$'
+                      if axial < 3 else 'by what the most model.axial_modes leave out$'):
+        run = timo_sim.simulate(scene, 0.004)
+    assert np.hypot(*(run.position()[-1] - [1.1, 0.0])) > 6e-4
+
+
 BENT = {'carrier.held': 'both', 'motor.shaft': 'locked', 'initial.shaft': 0.0, 'model.modes': 5,
         'model.axial_modes': 1, 'integrator.step': 0.005}
 BUCKLED = {'load.tip_force_x.table.time': [0.0, 1.0],

@@ -18,7 +18,7 @@ from timo_sim.scene.parameters import (
 from timo_sim.scene.scene import load_scene, needed_static, Scene, scene_from, SceneLike
 from timo_sim.simulation.finer import choose_parts, refine, tip_distance
 from timo_sim.simulation.warnings import (
-    DivergenceError, inaccurate, MOST_APART, NO_FINER_RUN, unseen_load)
+    DivergenceError, inaccurate, more_axial, MOST_APART, NO_FINER_RUN, unseen_load)
 
 SIZES = (3, 5, 8, 12)  # numbers of modes to choose from
 STEPS = (0.02, 0.01, 0.005, 0.002, 0.001, 0.0005, 0.0002, 0.0001)  # to choose from [s]
@@ -95,7 +95,7 @@ def _remedy(run, parts, error):
     exact, stretches = (run.scene.values['model.formulation'] == 'exact',
                         run.scene.manipulator.arm.stretches)
     if exact and stretches:
-        changes['model.axial_modes 1'] = 1, 0, 1, True
+        changes[more_axial(run.scene)] = 1, 0, 1, True
     elif not exact:
         changes['model.formulation exact'] = 1, 0, 0, False
     moved = {}

@@ -437,30 +437,32 @@ _STATIC = {'none': (), 'force': ('force',), 'torque': ('torque',), 'both': ('for
            'weight': ('weight',)}
 # A static shape is damped by so much more if its phase in a step is above [rad].
 _STATIC_PHASE, _STATIC_DAMPING = 1.0, 1.0
-# Of the tip's static deflection and rotation, what the modes of a finer run may leave out.
-_LEFT_OUT = 1e-4, 1e-2
+# Of the tip's static deflection and rotation, what the modes of a finer run may leave out before a
+# scene needs shapes, and before the finer run does: more than those of a tip as heavy as its arm.
+_LEFT_OUT, _LEFT_OUT_BY_FINER = (1e-4, 1e-2), (3e-6, 3e-6)
 MORE_MODES = 2  # of a finer run
 
 
-def needed_static(scene: Scene) -> tuple[str, ...]:
+def needed_static(scene: Scene, finer: int = 0) -> tuple[str, ...]:
     """
     Return the loads on the tip whose static shapes a scene needs, see doc/theory.md (T9).
 
     Of the responses to others, two more modes miss at most 1e-4 of the tip's deflection and 1e-2
     of its rotation, so that a finer run sees what the modes miss. Whether the scene has such loads
-    does not count: a command may be one.
+    does not count: a command may be one. A `finer` run, of so many modes, leaves out at most 3e-6.
     """
-    return _needed_static(scene.manipulator, scene.values['model.modes'])
+    return (_needed_static(scene.manipulator, finer, _LEFT_OUT_BY_FINER, (0,)) if finer else
+            _needed_static(scene.manipulator, scene.values['model.modes']))
 
 
 @lru_cache(maxsize=64)
-def _needed_static(body, count):
+def _needed_static(body, count, left_out=_LEFT_OUT, further=(0, MORE_MODES)):
     if not count:
         return ()
     for static in (), ('torque',):
-        for more in 0, MORE_MODES:  # few modes are found sooner
+        for more in further:  # few modes are found sooner
             whole, seen = compliance(body, modes_of(body, count + more, static))
-            if (np.abs(1.0 - seen / whole) < np.transpose([_LEFT_OUT])).all():
+            if (np.abs(1.0 - seen / whole) < np.transpose([left_out])).all():
                 return static
     return _STATIC['both']
 

@@ -49,14 +49,15 @@ def refine(scene: Scene, parts: int, modes: int | None = None, axial: int = MORE
     """
     values, static = scene.values, scene.static
     bending, stretching = values['model.modes'], values['model.axial_modes']
-    if not same_equations:
-        static += tuple(load for load in needed_static(scene) if load not in static)
     if modes is None:
         pushed = scene.load.terms['push_x'] or scene.load.terms['push_y']
         times = _MODES_OF_IMPACT if scene.payloads else _MODES_OF_PUSH if pushed else 1
         modes = min(times * bending + MORE_MODES, _MOST_MODES) - bending
     if not bending:
         modes = axial = 0  # a rigid arm stays rigid
+    if not same_equations:
+        static += tuple(load for load in needed_static(scene, bending + modes)
+                        if load not in static)
     if not scene.manipulator.arm.stretches:
         axial = 0
     own, shapes = len(scene.static), len(static)

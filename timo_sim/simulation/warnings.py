@@ -8,6 +8,7 @@ from typing import Any
 import numpy as np
 
 from timo_sim.model.layout import Motion
+from timo_sim.scene.parameters import PARAMETERS
 from timo_sim.scene.scene import Scene
 
 # Longest step, in periods of a harmonic load; a step sees three values of the load.
@@ -71,17 +72,25 @@ def inaccurate(scene: Scene, error: float, remedy: str | None = None) -> str | N
     """
     Return the warning of a run whose tip is far from that of a finer run, or None.
 
-    `error` is their distance [m], `remedy` what moves the tip most; by default all are named.
+    `error` is their distance [m], `remedy` what moves the tip most, '' if it is an axial mode that
+    no scene can have; by default all are named.
     """
     if error <= MOST_APART * scene.manipulator.arm.length:
         return None
     if remedy is None:
         remedy = 'a smaller integrator.step, more model.modes'
-        if scene.manipulator.arm.stretches:
-            remedy += ' or model.axial_modes 1'
+        if scene.manipulator.arm.stretches and (axial := more_axial(scene)):
+            remedy += f' or {axial}'
         if scene.values['model.formulation'] != 'exact':
             remedy = f'model.formulation exact, {remedy}'
-    return f'the tip is {error:.1g} m from that of a finer run: take {remedy}'
+    return f'the tip is {error:.1g} m from that of a finer run' + (
+        f': take {remedy}' if remedy else ', by what the most model.axial_modes leave out')
+
+
+def more_axial(scene: Scene) -> str:
+    """Return what gives a scene one more axial mode, '' if it has the most."""
+    more = scene.values['model.axial_modes'] + 1
+    return f'model.axial_modes {more}' if more <= PARAMETERS['model.axial_modes'].high else ''
 
 
 def divergence(scene: Scene, model: Any, step: int, motion: np.ndarray,
