@@ -181,6 +181,21 @@ def test_energy_is_the_work_of_efforts_less_that_of_friction_and_back_emf():
         np.trapezoid(BACK_EMF * run.shaft_velocity**2, run.t), rel=1e-4)
 
 
+@pytest.mark.parametrize('gear', [{}, GEAR], ids=['stiff', 'gear'])
+def test_a_motor_that_brakes_at_its_limit_takes_no_more_energy_than_the_arm_loses(gear):
+    """Without a voltage there is no work; at the limit the current takes LIMIT times the speed."""
+    scene = timo_sim.load_scene({
+        **MOTOR, **HELD, **gear, 'initial.shaft_velocity': 4.0, 'arm.damping_ratio': [0.02]})
+    run = timo_sim.simulate(scene, 1.6, estimate=False)
+    assert not run.effort[:, 2].any() and LIMIT < BACK_EMF * run.shaft_velocity[0]
+    lost = run.energy()[0] - run.energy()
+    # Measured: 4e-7; the power bends where the limit ends.
+    assert run.dissipated() == pytest.approx(lost, abs=1e-6 * lost.max())
+    simulator = timo_sim.Simulator(scene)
+    assert simulator.step(duration=0.01).shaft_velocity > LIMIT / BACK_EMF
+    assert simulator.effort[2] == 0.0
+
+
 def test_acts_on_the_rotor_of_an_elastic_gear():
     """Against SciPy: two bodies, a spring, and the law at the speed of the rotor."""
     scene = timo_sim.load_scene({}, {**MOTOR, **GEAR, 'model.modes': 0, 'integrator.step': 0.0005})

@@ -261,6 +261,13 @@ class Manipulator:
             excess = wanted - np.clip(wanted, -limit, limit)
         return excess
 
+    def effort(self, torque: Any, speed: Any) -> Any:
+        """Return the effort [N m] of a torque of loads at a speed of the motor (T66)."""
+        if not self.motor_limit:
+            return torque
+        return np.clip(torque - self.excess(torque, speed), np.minimum(torque, 0.0),
+                       np.maximum(torque, 0.0))
+
     def inertia(self, quadrature: 'Quadrature') -> tuple[np.ndarray, np.ndarray]:
         """
         Return M(xi) and J(xi) of the paper's Remark 1, times the weights of an integral.

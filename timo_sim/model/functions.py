@@ -81,6 +81,17 @@ def motor_torque(tables, load, speed):
 
 
 @inner
+def motor_effort(tables, load, speed):
+    """Return the effort of the torque of loads, without friction, at the motor's speed (T66)."""
+    torque = motor_torque(tables, load, speed)
+    for _ in range(len(tables.motor_limit)):
+        least = where(load[TORQUE] < 0.0, load[TORQUE], 0.0)
+        most = where(load[TORQUE] > 0.0, load[TORQUE], 0.0)
+        torque = where(torque < least, least, where(torque > most, most, torque))
+    return torque
+
+
+@inner
 def is_limited(tables, load, speed):
     """Return 1 where the current of the motor is at its limit, else 0."""
     found = 0.0

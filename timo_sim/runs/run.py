@@ -18,7 +18,7 @@ import numpy as np
 
 from timo_sim.extras import optional
 from timo_sim.model.formulation import Formulation, PointsOfArm
-from timo_sim.model.layout import LOADS, Motion, MotionFields
+from timo_sim.model.layout import LOADS, Motion, MotionFields, TORQUE
 from timo_sim.scene.parameters import checked, DEFAULTS, PATH, warn
 from timo_sim.scene.scene import Scene
 from timo_sim.simulation.energy import integral
@@ -123,6 +123,9 @@ class Run(MotionFields, PointsOfArm):
         apart for a relative error of 1e-3.
         """
         power, steps = self.model.dissipation(self.values), np.rint(self.t / self.scene.step)
+        if self.model.manipulator.motor_limit:  # at which the back-EMF takes less (T66)
+            speed = self._motor_speed
+            power += self.model.manipulator.excess(self.effort[:, 2], speed) * speed
         every = int(steps[-1]) // max(len(steps) - 1, 1)
         if every > 1 and power.any() and steps[-1] <= _MOST_REPEATED:
             try:
@@ -147,6 +150,10 @@ class Run(MotionFields, PointsOfArm):
         """
         return np.concatenate([model.momentum(self.values[part]) for model, part in self._pieces])
 
+    @property
+    def _motor_speed(self):
+        return self.values[:, len(self.model.rotor):] @ self.model.rotor
+
     @cached_property
     def _pieces(self):
         return pieces(self.scene, np.rint(self.t / self.scene.step).astype(int), self.payloads)
@@ -166,7 +173,9 @@ class Run(MotionFields, PointsOfArm):
             from timo_sim.log.tables import common
             joints = self.recording.read('joint_states')['joint_states']
             return joints.values[common(joints.ns, np.rint(self.t * 1e9).astype(int))[0], 6:9]
-        effort = applied(self.model, self.values, self.loads())
+        loads = self.loads()
+        effort = applied(self.model, self.values, loads)
+        effort[:, 2] = self.model.manipulator.effort(loads[:, TORQUE], self._motor_speed)
         constrained = self.model.constrained
         if not constrained.any():
             return effort

@@ -282,7 +282,7 @@ class Snapshot:
         For a free joint those of commands and loads, for others those that hold or drive it.
         """
         load = self._load
-        torque = load[TORQUE] - self.model.manipulator.excess(
+        torque = self.model.manipulator.effort(
             load[TORQUE], self.motion[self._half:] @ self.model.rotor)
         effort = (*place(load[FORCE_X], load[FORCE_Y], self._values[2], load[FORCE_I],
                          load[FORCE_II]), float(torque))

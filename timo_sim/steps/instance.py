@@ -16,7 +16,8 @@ import numpy as np
 from timo_sim.compiled.entry import entry_point
 from timo_sim.compiled.functions import Array, Constants, floor, square_root, strict, WIDTH
 from timo_sim.model.functions import (
-    accelerate, copy, effort, energy, linear_part_is_valid, motor_torque, sincos, tanh)
+    accelerate, copy, effort, energy, linear_part_is_valid, motor_effort, motor_torque, sincos,
+    tanh)
 from timo_sim.model.layout import (
     AFTER, FORCE_I, FORCE_II, FORCE_X, FORCE_Y, LOADS, MOTOR_FRICTION, START, STEP_LOADS)
 from timo_sim.steps.bristles import BRISTLES, COLUMNS, MEMORY
@@ -266,7 +267,7 @@ def set_forces(tables, plant, instance):
         for i in range(half):
             root += plant.rotor[n, i] * accelerations[i]
             turning += plant.rotor[n, i] / plant.rotor[n, 2] * motion[half + i]
-    out[18] = motor_torque(tables, load, turning)
+    out[18] = motor_effort(tables, load, turning)
     if plant.constrained[2] != 0 or len(plant.rotor) != 0:
         root -= needed[2]
     else:
