@@ -138,8 +138,8 @@ def _draw(figure, path):
               default=['shaft_rad', 'tip_transverse_m', 'root_strain'],
               help='Output of the model, once for each curve: also tip_angle_rad, gyro_rad_per_s, '
                    'tip_acceleration_m_per_s2, ...; a wrong name lists them all.')
-@click.option('--output', '-o', 'picture', type=_FILE, default='bode.png', show_default=True,
-              help='Picture to write: PNG, PDF or SVG.')
+@click.option('--png', '--output', '-o', 'picture', type=_FILE, default='bode.png',
+              show_default=True, help='Picture to write: PNG, PDF or SVG.')
 @_CONTACT
 def bode(scene: Scene, cause: str, effects: tuple[str, ...], picture: str,
          contact: str) -> None:
@@ -147,7 +147,7 @@ def bode(scene: Scene, cause: str, effects: tuple[str, ...], picture: str,
     Draw the Bode diagram of SCENE, a file or a name, about its initial state.
 
     \b
-        timo_sim bode paper --set arm.damping_ratio=0.01 -o bode.png
+        timo_sim bode paper --set arm.damping_ratio=0.01 --png bode.png
     """
     from timo_sim.runs.linear import linearize
     from timo_sim.view.plot import bode
