@@ -114,4 +114,5 @@ def shaper(plant: SceneLike | list[complex] | np.ndarray, kind: str = 'ZVD', mod
             raise ParameterError(f'tolerance must be less for the pole {pole:.6g}, got {left:g}')
         times = np.add.outer(times, half * np.arange(len(parts))).ravel()
         amplitudes = np.outer(amplitudes, np.divide(parts, sum(parts))).ravel()
-    return Shaper(*np.array(sorted(zip(times, amplitudes))).T, poles)
+    times, amplitudes = np.array(sorted(zip(times, amplitudes))).T
+    return Shaper(times, amplitudes, poles)

@@ -128,7 +128,7 @@ def bode(model: Any) -> Figure:
         phase -= 2.0 * np.pi * np.ceil((phase[0] - 0.5 * np.pi) / (2.0 * np.pi))
         axes['phase'].semilogx(frequency, np.degrees(phase), color=colour)
     for unit in units:
-        if not any(line.get_ydata().any() for line in axes[unit].lines):
+        if not any(np.any(line.get_ydata()) for line in axes[unit].lines):
             axes[unit].set_yscale('linear')  # zero is on no other, such as the strain of no modes
         axes[unit].set(ylabel=f'gain [{unit or 1} / {per}]')
         axes[unit].legend(fontsize='small')
