@@ -60,6 +60,7 @@ def test_the_truth_is_recovered_from_a_record_without_noise():
         if name in truth:
             assert np.ravel(value)[0] == found.values[name]
     assert min(each.r_squared for each in found.errors.values()) > 1.0 - 1e-9
+    assert 'residuals of the fit are numerical errors alone' in found.report()
 
 
 def test_held_values_give_a_rigid_shaft_their_impulse():

@@ -56,6 +56,14 @@ def test_tables_are_read_in_their_units(tmp_path, kind):
     assert shaft.noise == pytest.approx(np.radians(0.5))
 
 
+@pytest.mark.parametrize('time', ['clock', 0])
+def test_times_by_the_name_or_number_of_their_column(tmp_path, time):
+    path, own = written(tmp_path, 'csv'), {'u': {'quantity': 'torque', 'time': time}}
+    record = timo_sim.read_record(path, {'time': time, 'columns': {'hub': 'shaft', **own}})
+    for each in record.outputs['shaft'], record.inputs['torque']:
+        assert each.t == pytest.approx(1e3 * T, abs=1e-6)  # of ms, taken for seconds
+
+
 def test_columns_by_number_and_of_a_matrix(tmp_path):
     from scipy.io import savemat
     savemat(tmp_path / 'a.mat', {'data': np.column_stack([T, ANGLE])})
@@ -311,15 +319,16 @@ BAD_MAPPINGS = [
     ({'time': {}}, 'time must have a column or a period'),
     ({'time': {'column': 'clock', 'unit': 'h'}}, 'time: unit must be one of s, ms, us, ns'),
     ({'colums': {}}, 'colums is not known, .*did you mean columns'),
-    ({'time': 't'}, "time must have some of column, unit, file, period, got 't'"),
+    ({'time': 't'}, 't is no column of the table; it has clock, hub, u'),
+    ({'time': 0.5}, 'time must have some of column, unit, file, period, got 0.5'),
     ({'time': {'column': 'clock', 'file': 5}}, 'file must be a text, got 5'),
     ({'time': {'period': 1e308}}, 'at least 20 finite samples, got 2'),
-    ({'columns': {'hub': {'quantity': 'shaft', 'time': 't'}}}, "hub: time must have .*got 't'"),
+    ({'columns': {'hub': {'quantity': 'shaft', 'time': 't'}}}, 't is no column'),
     ({'columns': {'hub': {'quantity': 'shaft', 'scale': 1e308}}}, 'at least 20 finite samples'),
     ({'columns': {'hub': {'quantity': 'shaft', 'noise': 1e-308}}}, 'at least 1e-12 of the larg'),
     ({'columns': {'hub': {'quantity': 'shaft', 'file': '..'}}}, 'is not a file'),
     ({'start': 500.0}, 'shaft must .* 20 finite samples, got 0 .from 500 s to inf s of 1.99 s'),
-    ({'start': 1.0, 'end': 0.5}, 'at least 20 finite samples, got 0 .from 1 s to 0.5 s')
+    ({'start': 1.0, 'end': 0.5}, 'start and end must be 0 <= start < end, got 1 and 0.5')
 ]
 
 
@@ -397,12 +406,21 @@ def test_a_new_scene_is_not_written_to_a_pipe(tmp_path):
     assert done.exit_code == 1 and 'pipe exists' in done.output
 
 
+def test_a_new_scene_may_have_a_name_that_is_no_text(tmp_path):
+    path = os.fsdecode(os.fsencode(tmp_path) + b'/a\xff.yaml')
+    done = CliRunner().invoke(main, ['new', path])
+    assert done.exit_code == 0 and timo_sim.load_scene(path).values == (
+        timo_sim.load_scene('arm').values)
+
+
 BAD_ARGUMENTS = [
     (['--free', 'arm.length', '--bounds', 'arm.length=a:b'], '--bounds takes NAME=LOW:HIGH'),
     (['--free', 'arm.length', '--bounds', 'arm.length'], '--bounds takes NAME=LOW:HIGH'),
     (['--free', 'arm.length', '--scene', 'papre'], 'did you mean paper'),
     (['--free', 'arm.lenght', '--scene', 'paper'], 'did you mean arm.length'),
-    (['--free', 'arm.length'], 'scene must be given with')
+    (['--free', 'arm.length'], 'scene must be given with'),
+    (['--free', 'arm.lenght', 'gone.csv', '--scene', 'paper'], 'gone.csv'),
+    (['--free', 'initial', 'arm.lenght', '--scene', 'paper'], 'did you mean arm.length')
 ]
 
 
@@ -412,3 +430,12 @@ def test_bad_arguments_of_the_command(tmp_path):
         done = CliRunner().invoke(main, ['fit', str(tmp_path / 'run.csv'), *arguments])
         assert done.exit_code == 2 and message in ' '.join(done.output.split())
         assert len(done.output.splitlines()) == 1
+
+
+def test_names_behind_free_are_no_files(tmp_path, monkeypatch):
+    monkeypatch.chdir(tmp_path)
+    timo_sim.simulate('paper', 1.0, 10, estimate=False).save('run.csv')
+    Path('arm.lenght').touch()
+    done = CliRunner().invoke(main, ['fit', '--scene', 'paper', '--free', 'end_effector.mass',
+                                     'arm.lenght', 'run.csv'])
+    assert done.exit_code == 2 and 'did you mean arm.length' in done.output

@@ -15,7 +15,6 @@ from timo_sim.cli import main
 from timo_sim.fitting import result
 from timo_sim.fitting.problem import Problem
 from timo_sim.fitting.start import from_record
-from timo_sim.scene.parameters import changed
 
 PERIOD, DURATION = 0.004, 2.0
 T = PERIOD * np.arange(round(DURATION / PERIOD) + 1)
@@ -190,7 +189,7 @@ def test_the_command_takes_several_records(tmp_path):
         'columns': {name: name for name in ('torque', 'shaft', 'tip_transverse')}}))
     (tmp_path / 'arm.yaml').write_text(yaml.safe_dump({'/**': {'ros__parameters': {
         name: [*value] if isinstance(value, tuple) else value
-        for name, value in changed(wrong(2.0, 0.5, 2.0, 0.5).values).items()}}}))
+        for name, value in wrong(2.0, 0.5, 2.0, 0.5).values.items()}}}))
     a, b, c, mapping, arm, further, fitted = (str(tmp_path / name) for name in (
         'a.csv', 'b.csv', 'c.csv', 'map.yaml', 'arm.yaml', 'next.csv', 'fitted.yaml'))
     done = CliRunner().invoke(main, [

@@ -319,6 +319,13 @@ def test_bode_diagram_from_the_command_line(tmp_path):
         assert result.exit_code == 2 and words in result.output
 
 
+@pytest.mark.filterwarnings('error')
+def test_the_bode_diagram_of_a_rigid_arm_has_gains_of_zero(tmp_path):
+    result = CliRunner().invoke(main, [
+        'bode', 'paper', '--set', 'model.modes=0', '--png', str(tmp_path / 'bode.png')])
+    assert result.exit_code == 0 and (tmp_path / 'bode.png').stat().st_size > 20000
+
+
 @pytest.mark.parametrize('values', [{'initial.shaft_velocity': 1.0},
                                     {'initial.modal_coordinates': [0.1, 0.0, 0.0]}])
 def test_a_moving_scene_is_no_equilibrium(values):

@@ -436,6 +436,15 @@ EXTREME = [
 ]
 
 
+@pytest.mark.parametrize('values, said', [
+    ({'arm.length': 1e300}, 'too large or too small together'),
+    ({'frame_prefix': 'a\ud800'}, 'frame_prefix must be')])
+def test_what_no_number_or_text_can_be_made_of_is_refused(values, said):
+    with pytest.raises(timo_sim.ParameterError, match=said) as error:
+        timo_sim.load_scene('paper', values)
+    assert str(error.value).isprintable()
+
+
 def test_numbers_that_would_round_to_zero_or_overflow():
     for value, words in EXTREME:
         from timo_sim.ros.parameters import steps_between_messages

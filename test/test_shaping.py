@@ -22,6 +22,15 @@ def test_zv_leaves_nothing_at_the_mode_and_zvd_has_no_slope_there():
     assert zvd[2] / zvd[1] == pytest.approx(4.0, rel=4e-3)
 
 
+def test_a_residual_has_the_damping_of_the_nearest_mode_that_is_shaped():
+    found = timo_sim.shaper([POLE, 100j], 'ZV')
+    near = np.array([[HERTZ, 1.1 * HERTZ], [100.0 / (2.0 * np.pi), 15.0]])
+    assert found.residual(near[:, 0]) == pytest.approx(0.0, abs=1e-13)  # zero is ZV's definition
+    assert found.residual(near) == pytest.approx(
+        found.residual(near, [[DAMPING], [0.0]]), abs=1e-14)
+    assert found.residual(HERTZ, 0.0) > 0.05
+
+
 @pytest.mark.parametrize('tolerance', [0.05, 0.2])
 def test_ei_of_an_undamped_mode_is_the_one_of_singhose(tolerance):
     """Its formulas, and the two frequencies without vibration that follow from them."""

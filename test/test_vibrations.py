@@ -167,3 +167,19 @@ def test_the_command_prints_and_draws(tmp_path):
     expected = spinning(timo_sim.load_scene('spin_up'), 6.0, 1)[0] / (2.0 * np.pi)
     assert last[0] == '6.0' and float(last[1]) == pytest.approx(expected, rel=2e-3)
     assert campbell.stat().st_size > 15000
+
+
+@pytest.mark.parametrize('held', ['both', 'none'])
+def test_shapes_are_drawn_with_the_carrier_where_it_is(held):
+    """Not at the root, which a hub turns round the shaft."""
+    scene = timo_sim.load_scene({}, {
+        'carrier.held': held, 'hub.radius': 0.3, 'initial.shaft': 0.5})
+    for axes in timo_sim.modes(scene).plot().axes:
+        (before, *_), (after, *_) = (
+            line.get_xydata() for line in axes.lines if line.get_marker() == 's')
+        assert before == pytest.approx(-after)
+        across = next(line.get_ydata() for line in axes.lines if line.get_marker() == '.')
+        if held == 'both':
+            assert not after.any() and abs(across[1]) > 1e-3  # the root turns with the shaft
+        else:
+            assert abs(after[1]) > 1e-3

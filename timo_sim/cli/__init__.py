@@ -41,6 +41,10 @@ def _show_warning(message, category, filename, lineno, file=None, line=None):
     click.echo(text, err=True)
 
 
+# Behind the first one of --free: the name of a parameter, in which no record's name ends.
+_NAME = r'(initial|\w+\.(?!(csv|txt|dat|tsv|parquet|mat|mcap|db3)$)[\w.[\]]+)$'
+
+
 class _Command(click.Command):
     """A subcommand that reports an error as one line and an exit code."""
 
@@ -51,13 +55,13 @@ class _Command(click.Command):
         super().__init__(name, **options)
 
     def parse_args(self, context, args):
-        """Read the command line; several values may follow one `--set` or `--bounds`."""
+        """Read the command line; several may follow one `--set`, `--bounds` or `--free`."""
         given, option = [], ''
         for argument in args:
-            value = re.match(r'[\w.[\]]+=', argument)
+            value = re.match(_NAME if option == '--free' else r'[\w.[\]]+=', argument)
             if option and value and given[-1] != option:
                 given.append(option)
-            found = re.match('(--set|--bounds)(=|$)', argument)
+            found = re.match('(--set|--bounds|--free)(=|$)', argument)
             option = found[1] if found else option if value else ''
             given.append(argument)
         return super().parse_args(context, given)
@@ -138,8 +142,8 @@ def _draw(figure, path):
               default=['shaft_rad', 'tip_transverse_m', 'root_strain'],
               help='Output of the model, once for each curve: also tip_angle_rad, gyro_rad_per_s, '
                    'tip_acceleration_m_per_s2, ...; a wrong name lists them all.')
-@click.option('--output', '-o', 'picture', type=_FILE, default='bode.png', show_default=True,
-              help='Picture to write: PNG, PDF or SVG.')
+@click.option('--png', '--output', '-o', 'picture', type=_FILE, default='bode.png',
+              show_default=True, help='Picture to write: PNG, PDF or SVG.')
 @_CONTACT
 def bode(scene: Scene, cause: str, effects: tuple[str, ...], picture: str,
          contact: str) -> None:
@@ -147,7 +151,7 @@ def bode(scene: Scene, cause: str, effects: tuple[str, ...], picture: str,
     Draw the Bode diagram of SCENE, a file or a name, about its initial state.
 
     \b
-        timo_sim bode paper --set arm.damping_ratio=0.01 -o bode.png
+        timo_sim bode paper --set arm.damping_ratio=0.01 --png bode.png
     """
     from timo_sim.runs.linear import linearize
     from timo_sim.view.plot import bode
@@ -291,10 +295,10 @@ def new(file: str) -> None:
         timo_sim simulate my_arm.yaml --duration 2 --png run.png
     """
     from timo_sim.scene.files import scene_file, whole_file
-    text = scene_file('arm').read_text(encoding='utf-8')
+    text, name = scene_file('arm').read_text(encoding='utf-8'), click.format_filename(file)
     with whole_file(file, new=True) as part:
-        part.write_text(text.replace('arm.yaml', os.path.basename(file)), encoding='utf-8')
-    click.echo(f'{file} is written; try timo_sim simulate {file} --duration 2 --png run.png')
+        part.write_text(text.replace('arm.yaml', os.path.basename(name)), encoding='utf-8')
+    click.echo(f'{name} is written; try timo_sim simulate {name} --duration 2 --png run.png')
 
 
 @main.command()
@@ -506,11 +510,9 @@ def fit(record: str, more: tuple[str, ...], scene: str | None, free: tuple[str, 
     if output and Path(output).exists():
         raise ParameterError(f'{output} exists: remove it or choose another name')
     changes, ends = parse_settings(settings), _parse_bounds(bounds)
-    # Names behind the first one of --free arrive among the records, which are files.
-    records = [record, *(each for each in more if Path(each).exists())]
-    names = [*free, *(each for each in more if each not in records)]
     guess, measured, held = read_scene_and_records(
-        scene, records, mapping[0] if len(mapping) == 1 else [*mapping] or None, hold_out_record)
+        scene, [record, *more], mapping[0] if len(mapping) == 1 else [*mapping] or None,
+        hold_out_record)
     if outputs:
         measured, held = ([each.select(*outputs.split(',')) for each in some]
                           for some in (measured, held))
@@ -519,7 +521,7 @@ def fit(record: str, more: tuple[str, ...], scene: str | None, free: tuple[str, 
         signal.signal(number, signal.default_int_handler)
     with warnings.catch_warnings():
         warnings.simplefilter('ignore', ModelWarning)  # the report has its text
-        found = fit(load_scene(guess, changes), measured, names, ends, hold_out, window, loss,
+        found = fit(load_scene(guess, changes), measured, free, ends, hold_out, window, loss,
                     starts=starts, hold_out_records=held, tell=partial(click.echo, err=True),
                     quick=quick, time=time)
     click.echo(found.report())

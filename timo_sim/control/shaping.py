@@ -20,10 +20,15 @@ _ROUND_OFF = 1e-9  # relative, of a pole and of a number of periods
 
 @dataclass(frozen=True)
 class Shaper:
-    """Impulses at `times` [s] from 0 on with `amplitudes`, whose sum is 1; shapes (n,)."""
+    """
+    Impulses at `times` [s] from 0 on with `amplitudes`, whose sum is 1; shapes (n,).
+
+    `poles` [1/s] are those for which it was made, shape (k,).
+    """
 
     times: np.ndarray
     amplitudes: np.ndarray
+    poles: np.ndarray
 
     @checked(command=FUNCTION)
     def shape(self, command: Callable[[Any], Any]) -> Callable[[Any], Any]:
@@ -44,12 +49,17 @@ class Shaper:
         return self.shape(lambda at: np.interp(at, t[:len(samples)], samples))(t)
 
     @checked(frequency=NUMBERS, damping=NUMBERS)
-    def residual(self, frequency: ArrayLike, damping: ArrayLike = 0.0) -> np.ndarray:
+    def residual(self, frequency: ArrayLike, damping: ArrayLike | None = None) -> np.ndarray:
         """
         Return the residual vibration of modes, as a share of that after one impulse (T52).
 
-        Natural frequencies [Hz] and damping ratios, >= 0 and < 1, broadcast.
+        Natural frequencies [Hz] and damping ratios, >= 0 and < 1, broadcast. By default a mode has
+        the damping ratio of that of `poles` whose frequency is nearest.
         """
+        if damping is None:
+            own = np.abs(self.poles)
+            far = np.abs(np.subtract.outer(2.0 * math.pi * np.asarray(frequency), own))
+            damping = np.maximum(-self.poles.real / own, 0.0)[far.argmin(axis=-1)]
         ratio = np.asarray(damping, dtype=float)
         if not ((ratio >= 0.0) & (ratio < 1.0)).all():
             raise ParameterError(f'damping must be >= 0 and < 1, got {damping!r}')
@@ -104,4 +114,5 @@ def shaper(plant: SceneLike | list[complex] | np.ndarray, kind: str = 'ZVD', mod
             raise ParameterError(f'tolerance must be less for the pole {pole:.6g}, got {left:g}')
         times = np.add.outer(times, half * np.arange(len(parts))).ravel()
         amplitudes = np.outer(amplitudes, np.divide(parts, sum(parts))).ravel()
-    return Shaper(*np.array(sorted(zip(times, amplitudes))).T)
+    times, amplitudes = np.array(sorted(zip(times, amplitudes))).T
+    return Shaper(times, amplitudes, poles)

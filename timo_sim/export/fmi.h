@@ -50,14 +50,21 @@ struct saved {
     double values[ARM_STATE_SIZE];
 };
 
-/* FNV-1a of a state without its checksum: any byte that was changed changes it. */
-static uint32_t checksum_of(struct saved state)
+/* Go on with a checksum by FNV-1a: any byte that was changed changes it. */
+static uint32_t add_bytes(uint32_t sum, const void *bytes, size_t size)
 {
-    uint32_t sum = 2166136261u;
-    state.checksum = 0;
-    for (size_t k = 0; k < sizeof state; ++k)
-        sum = (sum ^ ((const unsigned char *)&state)[k]) * 16777619u;
+    for (size_t k = 0; k < size; ++k)
+        sum = (sum ^ ((const unsigned char *)bytes)[k]) * 16777619u;
     return sum;
+}
+
+/* The checksum of a state without itself, and without what pads the structure. */
+static uint32_t checksum_of(const struct saved *state)
+{
+    uint32_t sum = add_bytes(2166136261u, state->token, sizeof state->token);
+    sum = add_bytes(sum, &state->phase, sizeof state->phase);
+    sum = add_bytes(sum, &state->stop, sizeof state->stop);
+    return add_bytes(sum, state->values, sizeof state->values);
 }
 
 static void tell(struct instance *me, int status, const char *text);
@@ -305,7 +312,7 @@ STATUS FMI(SerializeFMUState)(void *instance, void *state, BYTE bytes[], size_t 
     REQUIRE(state && bytes, "a pointer is null");
     REQUIRE(size >= sizeof(struct saved), "there is too little room for the state");
     struct saved saved = *(const struct saved *)state;
-    saved.checksum = checksum_of(saved);
+    saved.checksum = checksum_of(&saved);
     memcpy(bytes, &saved, sizeof saved);
     return OK;
 }
@@ -318,7 +325,7 @@ STATUS FMI(DeserializeFMUState)(void *instance, const BYTE bytes[], size_t size,
             "these bytes are no state of this unit");
     struct saved read;
     memcpy(&read, bytes, sizeof read);
-    REQUIRE(read.checksum == checksum_of(read), "the state is damaged");
+    REQUIRE(read.checksum == checksum_of(&read), "the state is damaged");
     struct saved *saved = malloc(sizeof *saved);
     REQUIRE(saved, "there is no memory left");
     *saved = read;

@@ -605,8 +605,7 @@ def read_record(path: str | Path,
 def _record(path, mapping, source):
     _check_keys('a mapping', mapping, _ENTRIES)
     table = cache(lambda name: read_table(path if name is None else path.parent / name))
-    time, columns = mapping.get('time', {}), mapping.get('columns')
-    _check_keys('time', time, _KEYS['time'])
+    time, columns = _time_of(mapping, 'time'), mapping.get('columns')
     if not isinstance(columns, Mapping) or not columns:
         raise ParameterError('columns must say which columns are which quantities, got '
                              + short(columns))
@@ -633,8 +632,7 @@ def _record(path, mapping, source):
         values = _numbers(table(file).column(column), column)
         factor = _factor(f'columns: {column}', entry.get('unit'), unit_of(name))
         factor *= _entry(entry, 'scale', 1.0)
-        own = entry.get('time', {})
-        _check_keys(f'columns: {column}: time', own, _KEYS['time'])
+        own = _time_of(entry, f'columns: {column}: time')
         t = _times({**time, **own}, file, table, len(values), origin)
         with np.errstate(over='ignore'):  # what is not finite is left out
             values = factor * values + _entry(entry, 'offset', 0.0)
@@ -645,6 +643,14 @@ def _record(path, mapping, source):
     record = Record.of(inputs, outputs, noise, str(path))
     start, end = _entry(mapping, 'start', 0.0), _entry(mapping, 'end', np.inf)
     return record.cut(start, end) if (start, end) != (0.0, np.inf) else record
+
+
+def _time_of(entry, place):
+    """Return what a mapping or a column has for `time`; a name or number is that of a column."""
+    time = entry.get('time', {})
+    time = {'column': time} if isinstance(time, str) or type(time) is int else time
+    _check_keys(place, time, _KEYS['time'])
+    return time
 
 
 def _times(entry, file, table, count, origin):

@@ -265,9 +265,11 @@ class Fit(Prediction):
         for number, each in enumerate([self, *self.more], 1):
             lines += [f'record {number}, {each.record.source}:'] * bool(self.more)
             lines += [each.table()]
+        exact = all(1.0 - each.r_squared <= NUMERICAL for part in (self, *self.more) if part.until
+                    for each in part.errors.values())
         lines += ['', 'residuals of the fit are ' + (
-            'white' if self.white else 'not white, so the model lacks something; intervals '
-            'allow for correlated residuals')]
+            'white' if self.white else 'numerical errors alone' if exact else
+            'not white, so the model lacks something; intervals allow for correlated residuals')]
         return '\n'.join([*lines, *(f'warning: {each}' for each in self.warnings)])
 
     def sample(self, n: int, seed: int = 0) -> Samples:

@@ -115,7 +115,8 @@ class Parameter:
                 value = value.item()
             if (type(value) is not type(self.default) or self.choices and value not in self.choices
                     or isinstance(value, str) and (
-                        '\0' in value or self.form and not re.fullmatch(self.form[0], value))
+                        b'\0' in value.encode()
+                        or self.form and not re.fullmatch(self.form[0], value))
                     or isinstance(value, int) and not self.low <= value <= self.high):
                 raise ValueError
             return value

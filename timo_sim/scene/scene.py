@@ -368,10 +368,11 @@ def values_of(source: str | Path | Mapping[str, Any],
         values = complete(given, own)
     except ParameterError as error:
         raise ParameterError(f'{error} ({origin})') from None
-    for text in (find_outdated(given, values) if own and origin != 'given values' else None,
-                 find_implausible(values)):
-        if text:
-            warn(text)
+    with physical(values):
+        texts = (find_outdated(given, values) if own and origin != 'given values' else None,
+                 find_implausible(values))
+    for text in filter(None, texts):
+        warn(text)
     return values
 
 

@@ -15,7 +15,7 @@ from matplotlib.ticker import MultipleLocator
 import numpy as np
 from PIL import Image
 
-from timo_sim.model.layout import without_unit
+from timo_sim.model.layout import rotate, without_unit
 from timo_sim.scene.files import whole_file
 from timo_sim.scene.parameters import ParameterError
 from timo_sim.view.track import body_of, DEFLECTION_SCALE, Floor, floor_of, FPS, Track
@@ -128,6 +128,8 @@ def bode(model: Any) -> Figure:
         phase -= 2.0 * np.pi * np.ceil((phase[0] - 0.5 * np.pi) / (2.0 * np.pi))
         axes['phase'].semilogx(frequency, np.degrees(phase), color=colour)
     for unit in units:
+        if not any(np.any(line.get_ydata()) for line in axes[unit].lines):
+            axes[unit].set_yscale('linear')  # zero is on no other, such as the strain of no modes
         axes[unit].set(ylabel=f'gain [{unit or 1} / {per}]')
         axes[unit].legend(fontsize='small')
     axes[units[0]].set(title=f'response to {cause.replace("_", " ")}')
@@ -151,11 +153,13 @@ def shapes(vibrations: Any) -> Figure:
     """Return a Figure: the first shapes of Vibrations in the axes of the shaft, exaggerated."""
     model, count = vibrations.model, min(len(vibrations.poles), _MOST_SHAPES)
     xi = np.linspace(0.0, model.manipulator.arm.length, _POINTS)
-    rest = model.centre_line(vibrations.motion.q, model.at(xi))
+    rest = np.vstack([np.zeros(2), model.centre_line(vibrations.motion.q, model.at(xi))])
+    carrier = np.stack(rotate(-vibrations.motion.shaft, *vibrations.vectors[:, :2].T), axis=-1)
+    moves = np.concatenate([carrier[:, np.newaxis], vibrations.shapes(xi)], axis=1).real
     figure = Figure(figsize=(6, 1 + 1.5 * max(1, count)), layout='constrained')
     panels = figure.subplots(max(1, count), sharex=True, sharey=True, squeeze=False)[:, 0]
     for axes, moved, frequency, damping in zip(
-            panels, vibrations.shapes(xi).real, vibrations.frequency, vibrations.damping):
+            panels, moves, vibrations.frequency, vibrations.damping):
         axes.plot(*rest.T, '--', color=_GREY, linewidth=1.0)
         for size, colour in (-_AMPLITUDE, COLOURS[5]), (_AMPLITUDE, COLOURS[0]):
             line = rest + size * xi[-1] * moved
