@@ -20,7 +20,8 @@ FORCES = 'force_x_N', 'force_y_N', 'torque_N_m'
 
 def model(inputs=('torque_N_m',), **values):
     """Return the discrete model of the paper's arm, on a carrier that is held."""
-    return timo_sim.linearize({**ARM, **values}).select(inputs).to_discrete(DT)
+    scene = timo_sim.load_scene({}, {**ARM, **values})
+    return timo_sim.linearize(scene).select(inputs).to_discrete(DT)
 
 
 # Limits just below what the plans without limits take, so that all of them act.

@@ -140,7 +140,7 @@ def test_arm_that_swings_in_gravity_needs_the_nonlinear_model():
 def test_deviation_of_the_deflection_is_that_of_motions_drawn_from_the_covariance():
     observer = timo_sim.observer(timo_sim.load_scene({}, ARM), ['encoder'])
     observer.update({'encoder': np.pi / 4})
-    model, places = observer.model, timo_sim.linearize(ARM).places
+    model, places = observer.model, timo_sim.linearize(timo_sim.load_scene({}, ARM)).places
     drawn = np.tile(observer.motion.values, (20000, 1))
     drawn[:, places] = np.random.default_rng(0).multivariate_normal(
         drawn[0, places], observer.covariance[:-1, :-1], len(drawn))
@@ -193,13 +193,13 @@ def test_a_wrong_model_is_a_warning():
 ])
 def test_what_has_no_observer_is_refused(changes, options, text):
     with pytest.raises(ParameterError, match=text):
-        timo_sim.observer({**ARM, **changes}, **options)
+        timo_sim.observer(timo_sim.load_scene({}, {**ARM, **changes}), **options)
 
 
 @pytest.mark.parametrize('matrix', [
     np.eye(8), -np.eye(9), np.full((9, 9), np.nan), np.triu(np.ones((9, 9)))])
 def test_bad_covariances_are_refused(matrix):
-    observer = timo_sim.observer(ARM)
+    observer = timo_sim.observer(timo_sim.load_scene({}, ARM))
     with pytest.raises(ParameterError, match='symmetric and positive definite matrix of 9'):
         observer.covariance = matrix
     observer.covariance = np.diag(np.arange(1.0, 10.0))
@@ -216,7 +216,7 @@ def test_bad_covariances_are_refused(matrix):
     ({'encoder': 0.7}, {}, -0.001, 'dt must be a finite number >= 0'),
 ])
 def test_bad_updates_are_refused_and_change_nothing(measured, command, dt, text):
-    observer = timo_sim.observer(ARM)
+    observer = timo_sim.observer(timo_sim.load_scene({}, ARM))
     before = observer.motion.values, observer.covariance, observer.simulator.steps
     with pytest.raises(ParameterError, match=text):
         observer.update(measured, command, dt)

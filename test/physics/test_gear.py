@@ -11,6 +11,7 @@ from scipy.linalg import eigh
 
 import timo_sim
 from timo_sim.cli import main
+from timo_sim.scene.files import scene_text
 
 STIFFNESS, ROTOR, TURNS = 50.0, 0.02, 10.0  # [N m/rad], [kg m2] at the shaft
 RIGID = {'model.modes': 0, 'carrier.held': 'both', 'arm.length': 0.4, 'arm.section.height': 0.01,
@@ -298,8 +299,7 @@ def test_linear_models_of_a_gear_that_nothing_loads_need_its_contact():
 
 def test_the_command_line_names_the_contact_of_a_gear(tmp_path):
     scene = tmp_path / 'scene.yaml'
-    lines = [f'{name}: {value}' for name, value in PLAY.items()]
-    scene.write_text('timo_sim: {ros__parameters: {' + ', '.join(lines) + '}}')
+    scene.write_text(scene_text(timo_sim.load_scene({}, PLAY).values))
     for command in ['modes', str(scene)], ['bode', str(scene), '-o', str(tmp_path / 'bode.png')]:
         refused = CliRunner().invoke(main, command)
         assert refused.exit_code == 2 and 'contact must be closed or open' in refused.output
