@@ -140,9 +140,9 @@ def test_axial_coordinates_are_the_last_of_all_lists():
     along, across, rotation = model.tip(scene.initial_motion())
     assert along - 2.0 == pytest.approx(1e-3 * model.modes.displacement([2.0])[0, 5])
     assert across == rotation == 0.0
-    # The strain at the root is E(0) q, without bending.
+    # The strain at the root is that of the inertia forces of the shape, near E(0) q.
     strain = Simulator(scene).sensors.root_strain
-    assert strain == pytest.approx(1e-3 * model.modes.stretch(np.zeros(1))[0, 5])
+    assert strain == pytest.approx(1e-3 * model.modes.stretch(np.zeros(1))[0, 5], rel=0.02)
     linear = timo_sim.linearize(scene.vary({'initial.modal_coordinates': []}))
     assert linear.states[8] == 'mode_6_m_sqrt_kg'
     # Of a rod between the masses of carrier and end effector, in closed form [Hz].

@@ -91,6 +91,7 @@ class _Teleop:
                 self._send(3 * [0.0])
                 for publisher in (self._wrench, self._torque):
                     publisher.wait_for_all_acked(Duration(seconds=1))
+            self._executor.shutdown()  # before the context, or rclpy prints a traceback
 
     def _press(self, key, now):
         if key in _PUSHES:
