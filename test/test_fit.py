@@ -323,8 +323,8 @@ def test_windows_need_no_initial_state():
 def test_the_initial_state_is_fitted():
     moving = {'initial.shaft': 0.3, 'initial.shaft_velocity': 0.5,
               'initial.modal_coordinates[0]': 0.004, 'initial.modal_rates[0]': 0.05,
-              **{f'initial.modal_{kind}[{n}]': 0.0
-                 for kind in ('coordinates', 'rates') for n in (1, 2)}}
+              **{f'initial.modal_{kind}[{n}]': 0.0  # the last is of a static shape
+                 for kind in ('coordinates', 'rates') for n in (1, 2, 3)}}
     record = predicted({**ARM, 'initial.shaft': 0.3, 'initial.shaft_velocity': 0.5,
                         'initial.modal_coordinates': [0.004, 0.0, 0.0],
                         'initial.modal_rates': [0.05, 0.0, 0.0]}, {}, ['shaft', 'tip_transverse'])

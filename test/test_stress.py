@@ -78,7 +78,9 @@ def test_errors_of_steps_give_a_warning():
     cells = [scenes.cell(number, seed=2) for number in range(10 * len(scenes.KINDS))]
     seen = []
     for cell in cells:
-        values = cell.values
+        # A static shape that steps do not resolve is damped, which finer steps do not do.
+        values = {**cell.values, 'model.static_modes': 'none'}
+        cell = cell._replace(values=values)
         if (values['model.modes'], values['carrier.held'], values['motor.shaft']) != (
                 3, 'none', 'free') or values['model.axial_modes'] or cell.kind == 'dry' or (
                 truth.family(cell) != 'exact'):

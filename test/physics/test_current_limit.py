@@ -184,7 +184,7 @@ def test_energy_is_the_work_of_efforts_less_that_of_friction_and_back_emf():
 @pytest.mark.parametrize('gear', [{}, GEAR], ids=['stiff', 'gear'])
 def test_a_motor_that_brakes_at_its_limit_takes_no_more_energy_than_the_arm_loses(gear):
     """Without a voltage there is no work; at the limit the current takes LIMIT times the speed."""
-    scene = timo_sim.load_scene({
+    scene = timo_sim.load_scene({}, {
         **MOTOR, **HELD, **gear, 'initial.shaft_velocity': 4.0, 'arm.damping_ratio': [0.02]})
     run = timo_sim.simulate(scene, 1.6, estimate=False)
     assert not run.effort[:, 2].any() and LIMIT < BACK_EMF * run.shaft_velocity[0]

@@ -42,8 +42,9 @@ _TERM_NAMES = {channel: tuple(f'load.{channel}.{name}' for name in (
 _MAX_NUMBER = 1e50  # products of six numbers, as in an energy, do not overflow
 _MAX_LENGTH = 30.0  # longest arm that is not taken for one in millimetres [m]
 _MIN_SLENDERNESS = 3.0  # length over height; a shorter arm is a block, not a beam
-# Phase of an axial vibration in a step with which no tested arm diverged [rad].
-RESOLVED = 0.5
+# Largest phase of an axial vibration in a step that is left as it is, and that of one which is
+# slowed down, with which no tested arm diverged [rad].
+AXIAL_PHASE, RESOLVED = 4.0, 0.5
 _OF_MATERIAL = 'density', 'young_modulus', 'shear_modulus'
 _JOINTS = 'carrier_x', 'carrier_y', 'shaft'
 _POSITION = [f'initial.{joint}' for joint in _JOINTS]
@@ -137,15 +138,15 @@ class Scene:
     @cached_property
     def fastest(self) -> float:
         """
-        Frequency of the fastest axial vibration that steps resolve [rad/s]; infinite if all are.
+        Frequency to which faster axial vibrations are slowed down [rad/s]; infinite if none is.
 
-        Faster ones are slowed down to it, theory (T67): the stretch follows slow forces. With a
-        step of 0 all are resolved.
+        That is done if steps cover more than AXIAL_PHASE of one, theory (T67): the stretch then
+        follows slow forces.
         """
         if not (count := self.values['model.axial_modes']) or not self.step:
             return math.inf
         omega = axial_modes(self.manipulator, count, self.constraints).omega
-        return RESOLVED / self.step if self.step * omega[-1] > RESOLVED else math.inf
+        return RESOLVED / self.step if self.step * omega[-1] > AXIAL_PHASE else math.inf
 
     @cached_property
     def _damping(self):

@@ -23,7 +23,7 @@ from timo_sim.model.formulation import Formulation
 from timo_sim.model.layout import rotate
 from timo_sim.model.modes import axial_modes
 from timo_sim.scene.loads import on_boundaries
-from timo_sim.scene.scene import MORE_MODES, needed_static, Scene, scene_from
+from timo_sim.scene.scene import AXIAL_PHASE, MORE_MODES, needed_static, Scene, scene_from
 from timo_sim.simulation.warnings import unseen_load
 
 MORE_AXIAL = 1
@@ -31,8 +31,6 @@ PARTS = 2, 8, 32  # of a step, from which those of the finer run are chosen
 # A load that is picked up excites modes without end: there the error falls as 1/N.
 _MODES_OF_IMPACT, _MOST_MODES = 4, 40 + MORE_MODES
 _MODES_OF_PUSH = 2  # a force within the arm makes a kink, whose error falls slowly, too
-# Largest phase in a step of the finer run of an axial vibration that is resolved [rad].
-_AXIAL_PHASE = 4.0
 _LISTS = 'initial.modal_coordinates', 'initial.modal_rates'
 
 
@@ -70,7 +68,7 @@ def refine(scene: Scene, parts: int, modes: int | None = None, axial: int = MORE
     damping = scene.build().damping.tolist()
     bent, stretched = damping[:bending] or [0.0], damping[len(damping) - stretching:]
     further = (stretched or bent)[-1:]
-    if axial and not stretching and _axial_phase(scene, scene.step / parts) > _AXIAL_PHASE:
+    if axial and not stretching and _axial_phase(scene, scene.step / parts) > AXIAL_PHASE:
         further = [1.0]
     lists['arm.damping_ratio'] = [*bent[:bending], *modes * bent[-1:], *stretched,
                                   *axial * further]
@@ -90,7 +88,7 @@ def refine(scene: Scene, parts: int, modes: int | None = None, axial: int = MORE
                       for each in (of.deflection, of.rotation)]
             lists[name][:size] = found.build().project_on_modes(*fields)[:size].tolist()
         found = scene_from({**found.values, **lists}, static)
-    if not stretching or _axial_phase(scene, found.step) <= _AXIAL_PHASE:
+    if not stretching or _axial_phase(scene, found.step) <= AXIAL_PHASE:
         found.__dict__['fastest'] = np.inf  # its vibration is seen, or critically damped
         found.__dict__.pop('_own_model', None)
     return found
@@ -118,7 +116,7 @@ def _resolves(scene, step):
     axial = scene.values['model.axial_modes'] or (
         scene.payloads and scene.values['model.modes'] and scene.manipulator.arm.stretches)
     return unseen_load(replace(scene, step=step)) is None and not (
-        axial and _axial_phase(scene, step) > _AXIAL_PHASE)
+        axial and _axial_phase(scene, step) > AXIAL_PHASE)
 
 
 def _axial_phase(scene, step):
