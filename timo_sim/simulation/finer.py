@@ -60,7 +60,7 @@ def refine(scene: Scene, parts: int, modes: int | None = None, axial: int = MORE
         axial = 0
     own, shapes = len(scene.static), len(static)
     lists: dict[str, Any] = {}
-    initial = {name: scene.modal(name) for name in _LISTS if any(values[name])}
+    initial = {name: scene.modal(name) for name in _LISTS if values[name]}
     for name, given in initial.items():
         across, along = given[:bending], given[bending + own:]
         lists[name] = [*across, *(modes + shapes) * [0.0], *along, *axial * [0.0]]
