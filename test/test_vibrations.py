@@ -53,7 +53,8 @@ def test_spinning_arms_that_stretch_have_the_frequencies_of_finite_elements(valu
 
 def test_the_stated_error_is_that_of_the_frequencies():
     """Of a spinning arm, which converges with the number of modes."""
-    scene, speed = timo_sim.load_scene({}, {**BARE, 'arm.section.height': 0.002}), 60.0
+    scene, speed = timo_sim.load_scene({}, {
+        **BARE, 'arm.section.height': 0.002, 'model.static_modes': 'none'}), 60.0
     expected, errors = spinning(scene, speed, 3), []
     for count in (3, 5, 8):
         found = timo_sim.modes(scene.vary({'model.modes': count}), speed)

@@ -27,7 +27,7 @@ def calls(folder):
         'inputs': 'None []', 'outputs': 'None []'}
     yield shaper.shape, {'command': np.sin}, {}
     yield shaper.residual, {'frequency': 1.0, 'damping': 0.0}, {
-        'frequency': '0 -1 [] 1e300', 'damping': '0 []'}
+        'frequency': '0 -1 [] 1e300', 'damping': 'None 0 []'}
     yield timo_sim.simulate, {'scene': scene, 'duration': 0.001, 'estimate': False}, {
         'duration': '0', 'scene': '{}'}
     yield timo_sim.sensitivities, {'scene': scene, 'duration': 0.001, 'commands': {}}, {
