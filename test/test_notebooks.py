@@ -97,7 +97,7 @@ def test_four_theories(run_notebook):
         found = timo_sim.modes(arm, 0.0).omega
         assert found == pytest.approx(_frequencies(
             arm.manipulator.arm.section, kept, kept, 1.001 * found[-1]), rel=1e-6)
-        assert (omega < found).all()
+        assert (omega[:len(found)] < found).all()
 
 
 def test_how_many_modes(run_notebook, reference):
