@@ -12,6 +12,7 @@ import pytest
 
 import timo_sim
 from timo_sim.gym import ReachEnv, ReachVectorEnv
+from timo_sim.simulation.finer import refine
 
 WAYS = copy.copy, copy.deepcopy, lambda value: pickle.loads(pickle.dumps(value))
 HELD = {'arm.length': 1.0, 'arm.section.width': 0.02, 'arm.section.height': 0.02,
@@ -85,3 +86,10 @@ def test_every_public_object_can_be_pickled_and_copied(tmp_path):
             assert type(found) is type(each)
             if not repr(each).startswith('<timo_sim'):  # the default's, which has an address
                 assert repr(found) == repr(each)
+
+
+def test_a_copy_of_a_finer_scene_keeps_its_axial_vibrations():
+    """The steps of the scene do not resolve them, those of the finer one do."""
+    scene = timo_sim.load_scene({**HELD, 'model.axial_modes': 1, 'integrator.step': 0.001})
+    for way in WAYS:
+        assert way(refine(scene, 4)).fastest == np.inf > way(scene).fastest

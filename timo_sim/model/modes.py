@@ -492,20 +492,30 @@ class StaticModes(JoinedModes):
         super().__init__(modes, StrainModes(omega, rule, curvature @ vectors, shear @ vectors))
 
 
-def compliance(manipulator: Manipulator, modes: Modes) -> tuple[np.ndarray, np.ndarray]:
+def compliance(manipulator: Manipulator, modes: Modes, pushed: float,
+               stretches: bool = False) -> tuple[np.ndarray, np.ndarray]:
     """
-    Return the static response of a straight arm's tip to loads on it, and what modes have of it.
+    Return static responses of a straight arm to loads at two points, and what modes have of them.
 
-    Rows are deflection [m] and rotation [rad] of the tip, columns are by a force across the tip
-    [1/N] and a torque [1/(N m)]; both of shape (2, 2).
+    Rows are deflection across and along the tip [m], its rotation [rad], and deflection across and
+    along the point at `pushed` from the root [m]; columns are by forces and the torque that work
+    on these [N], [N m]; both of shape (5, 5). It is stiff along unless it `stretches`.
+
+    Source: doc/theory.md, section 2, after (T9).
     """
-    rule = Quadrature(manipulator.arm.breaks, 4 * len(modes) + 40)
-    section, tip = manipulator.arm.at(rule.nodes), np.array([manipulator.arm.length])
-    loads = _outboard(manipulator, rule)
-    moment, force = np.swapaxes([loads['force'], loads['torque']], 0, 1)
-    whole = (moment * rule.weights / section.bending_stiffness @ moment.T
-             + force * rule.weights / section.shear_stiffness @ force.T)
-    shapes = np.vstack([modes.deflection(tip), modes.rotation(tip)])
+    length = manipulator.arm.length
+    rule = Quadrature(np.union1d(manipulator.arm.breaks, pushed), 4 * len(modes) + 40)
+    section, xi = manipulator.arm.at(rule.nodes), rule.nodes
+    none, inboard = np.zeros_like(xi), (xi < pushed).astype(float)
+    moment = np.stack([length - xi, none, none + 1.0, inboard * (pushed - xi), none])
+    shear = np.stack([none + 1.0, none, none, inboard, none])
+    axial = stretches * np.stack([none, none + 1.0, none, none, inboard])
+    whole = sum(force * rule.weights / stiffness @ force.T for force, stiffness in (
+        (moment, section.bending_stiffness), (shear, section.shear_stiffness),
+        (axial, section.axial_stiffness)))
+    ends = np.array([length, pushed])
+    (across, other), (along, beside) = modes.deflection(ends), modes.displacement(ends)
+    shapes = np.stack([across, along, modes.rotation(ends)[0], other, beside])
     return whole, shapes / modes.omega**2 @ shapes.T
 
 

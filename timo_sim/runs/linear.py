@@ -14,11 +14,11 @@ import numpy as np
 from numpy.typing import ArrayLike
 
 from timo_sim.extras import optional
-from timo_sim.model.bodies import Quadrature
 from timo_sim.model.formulation import Formulation
 from timo_sim.model.layout import (
     ANGLE, INPUTS, LOADS, Motion, PUSH_X, PUSH_Y, rotate, TIP_TORQUE, TIP_X, TIP_Y, TORQUE,
     VOLTAGE)
+from timo_sim.model.modes import compliance
 from timo_sim.scene.loads import CHANNELS
 from timo_sim.scene.parameters import (
     checked, did_you_mean, NUMBERS, Parameter, ParameterError, TEXTS, warn)
@@ -434,25 +434,10 @@ def _residual(model, at):
     found, lacking = np.zeros((2, len(names), LOADS))
     if len(modes) == model.axial + bool(model.gear):  # an arm without modes is rigid on purpose
         return found, lacking
-    length, q = body.arm.length, at[3:half]
-    pushed = model.push_point.xi[0] if model.push_point else length
-    rule = Quadrature(np.union1d(body.arm.breaks, pushed), 4 * len(modes) + 40)
-    section, xi = body.arm.at(rule.nodes), rule.nodes
-    # Moment, shear and axial force by forces across and along the tip, a torque on it, and forces
-    # across and along the point that is pushed.
-    none, inboard = np.zeros_like(xi), (xi < pushed).astype(float)
-    moment = np.stack([length - xi, none, none + 1.0, inboard * (pushed - xi), none])
-    shear = np.stack([none + 1.0, none, none, inboard, none])
-    axial = bool(model.axial) * np.stack([none, none + 1.0, none, none, inboard])
-    whole = sum(strain * rule.weights / stiffness @ strain.T for strain, stiffness in (
-        (moment, section.bending_stiffness), (shear, section.shear_stiffness),
-        (axial, section.axial_stiffness)))
-    ends, points = np.array([length, pushed]), [tip, model.push_point or tip]
-    across = modes.deflection(ends)
-    nodes = model.quadrature.nodes  # less than those of the integral, which has one in a hub
-    along = [each.integral[:len(nodes), 0] @ modes.stretch(nodes) for each in points]
-    shapes = np.stack([across[0], along[0], tip.rotation[:, 0], across[1], along[1]])
-    residual = whole - shapes / modes.omega**2 @ shapes.T
+    q = at[3:half]
+    pushed = model.push_point.xi[0] if model.push_point else body.arm.length
+    whole, seen = compliance(body, modes, pushed, bool(model.axial))
+    residual, ends = whole - seen, np.array([body.arm.length, pushed])
     # Those loads per load; the tip's outputs per its deflection across and along, and rotation.
     loads, shifts = np.zeros((5, LOADS)), np.zeros((len(names), 3))
     turned = at[2] + modes.rotation(ends) @ q

@@ -67,7 +67,9 @@ class Scene:
     values : mapping
         The scene's parameters by dotted name; `vary` returns a scene with others.
     static : tuple of str
-        Loads whose static shapes follow the modes in bending, see `static_of`.
+        Loads whose static shapes follow the modes in bending, see `needed_static`.
+    keeps_axial : bool
+        Whether axial vibrations stay as fast as they are, whatever the step.
 
     Examples
     --------
@@ -83,6 +85,7 @@ class Scene:
     step: float
     values: Mapping[str, Any]
     static: tuple[str, ...] = ()
+    keeps_axial: bool = False
 
     def __repr__(self) -> str:
         values, count = self.values, len(changed(self.values))
@@ -143,7 +146,7 @@ class Scene:
         That is done if steps cover more than AXIAL_PHASE of one, theory (T67): the stretch then
         follows slow forces.
         """
-        if not (count := self.values['model.axial_modes']) or not self.step:
+        if not (count := self.values['model.axial_modes']) or self.keeps_axial or not self.step:
             return math.inf
         omega = axial_modes(self.manipulator, count, self.constraints).omega
         return RESOLVED / self.step if self.step * omega[-1] > AXIAL_PHASE else math.inf
@@ -159,9 +162,8 @@ class Scene:
                 damping = np.insert(np.broadcast_to(damping, (arm,)), count, shapes * [
                     np.ravel(damping)[min(count, damping.size) - 1]])
             # A shape that the step does not resolve follows its load, without resonance.
-            omega = modes_of(self.manipulator, count, self.static).omega
-            damping[:count + shapes][(np.arange(count + shapes) >= count)
-                                     & (omega * self.step > _STATIC_PHASE)] += _STATIC_DAMPING
+            omega = modes_of(self.manipulator, count, self.static).omega[count:]
+            damping[count:count + shapes] += _STATIC_DAMPING * (omega * self.step > _STATIC_PHASE)
         if values['arm.damping_of'] == 'clamped' or not damping.any():
             return damping
         from timo_sim.model.formulation import clamped_ratios
@@ -359,7 +361,7 @@ def load_scene(source: SceneLike, overrides: Mapping[str, Any] | None = None) ->
 def values_of(source: str | Path | Mapping[str, Any],
               overrides: Mapping[str, Any] | None = None) -> dict[str, Any]:
     """Return all checked values by name, also those of the node; arguments as of `load_scene`."""
-    if isinstance(source, str | Path):
+    if from_file := isinstance(source, str | Path):
         given, origin = read_parameter_file(source), str(source)
     else:
         given, origin = flatten(source), 'given values'
@@ -370,18 +372,20 @@ def values_of(source: str | Path | Mapping[str, Any],
     except ParameterError as error:
         raise ParameterError(f'{error} ({origin})') from None
     with physical(values):
-        texts = (find_outdated(given, values) if own and origin != 'given values' else None,
+        texts = (find_outdated(given, values) if own and from_file else None,
                  find_implausible(values))
     for text in filter(None, texts):
         warn(text)
     return values
 
 
-def scene_from(values: Mapping[str, Any], static: tuple[str, ...] | None = None) -> Scene:
+def scene_from(values: Mapping[str, Any], static: tuple[str, ...] | None = None,
+               keeps_axial: bool = False) -> Scene:
     """
     Return the Scene of checked values, or raise ParameterError if they do not fit together.
 
-    `static` are its static shapes, by default those of `model.static_modes`.
+    `static` are its static shapes, by default those of `model.static_modes`; for `keeps_axial` see
+    `Scene`.
     """
     values = MappingProxyType({
         name: tuple(value) if isinstance(value := values[name], list) else value
@@ -401,7 +405,7 @@ def scene_from(values: Mapping[str, Any], static: tuple[str, ...] | None = None)
         whole_ratio(name, values[name], 'integrator.step', step)
     load = Load({channel: _terms_of(channel, tuple([values[name] for name in names]), step)
                  for channel, names in _TERM_NAMES.items()}, _drive(values))
-    scene = Scene(body, constraints_of(values), load, step, values, static)
+    scene = Scene(body, constraints_of(values), load, step, values, static, keeps_axial)
     check_finite(scene)
     check_slope(scene)
     return scene
@@ -442,6 +446,7 @@ _STATIC_PHASE, _STATIC_DAMPING = 1.0, 1.0
 # Of the tip's static deflection and rotation, what the modes of a finer run may leave out before a
 # scene needs shapes, and before the finer run does: more than those of a tip as heavy as its arm.
 _LEFT_OUT, _LEFT_OUT_BY_FINER = (1e-4, 1e-2), (3e-6, 3e-6)
+_BENDING = 0, 2  # deflection and rotation of the tip among rows of `compliance`
 MORE_MODES = 2  # of a finer run
 
 
@@ -463,7 +468,8 @@ def _needed_static(body, count, left_out=_LEFT_OUT, further=(0, MORE_MODES)):
         return ()
     for static in (), ('torque',):
         for more in further:  # few modes are found sooner
-            whole, seen = compliance(body, modes_of(body, count + more, static))
+            whole, seen = (each[np.ix_(_BENDING, _BENDING)] for each in compliance(
+                body, modes_of(body, count + more, static), body.arm.length))
             if (np.abs(1.0 - seen / whole) < np.transpose([left_out])).all():
                 return static
     return _STATIC['both']

@@ -68,8 +68,10 @@ def refine(scene: Scene, parts: int, modes: int | None = None, axial: int = MORE
     damping = scene.build().damping.tolist()
     bent, stretched = damping[:bending] or [0.0], damping[len(damping) - stretching:]
     further = (stretched or bent)[-1:]
-    if axial and not stretching and _axial_phase(scene, scene.step / parts) > AXIAL_PHASE:
+    resolved = not (axial or stretching) or _axial_phase(scene, scene.step / parts) <= AXIAL_PHASE
+    if axial and not stretching and not resolved:
         further = [1.0]
+    keeps_axial = resolved or not stretching  # their vibration is seen, or critically damped
     lists['arm.damping_ratio'] = [*bent[:bending], *modes * bent[-1:], *stretched,
                                   *axial * further]
     lists['arm.damping_of'] = 'clamped'
@@ -79,7 +81,7 @@ def refine(scene: Scene, parts: int, modes: int | None = None, axial: int = MORE
     equations = {} if same_equations else {'model.formulation': 'exact'}
     found = scene_from({**values, **lists, **equations, 'model.accuracy': 0.0,
                         'model.modes': bending + modes, 'model.axial_modes': stretching + axial,
-                        'integrator.step': scene.step / parts}, static)
+                        'integrator.step': scene.step / parts}, static, keeps_axial)
     if any(any(given[bending:bending + own]) for given in initial.values()):
         # A static shape of the scene is a sum of modes and static shapes of the finer one.
         of, size = scene.build().modes, bending + modes + shapes
@@ -87,10 +89,7 @@ def refine(scene: Scene, parts: int, modes: int | None = None, axial: int = MORE
             fields = [partial(_field, each, np.array(given))
                       for each in (of.deflection, of.rotation)]
             lists[name][:size] = found.build().project_on_modes(*fields)[:size].tolist()
-        found = scene_from({**found.values, **lists}, static)
-    if not stretching or _axial_phase(scene, found.step) <= AXIAL_PHASE:
-        found.__dict__['fastest'] = np.inf  # its vibration is seen, or critically damped
-        found.__dict__.pop('_own_model', None)
+        found = scene_from({**found.values, **lists}, static, keeps_axial)
     return found
 
 
