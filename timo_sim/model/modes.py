@@ -495,11 +495,12 @@ class StaticModes(JoinedModes):
 def compliance(manipulator: Manipulator, modes: Modes, pushed: float,
                stretches: bool = False) -> tuple[np.ndarray, np.ndarray]:
     """
-    Return static responses of a straight arm to loads at two points, and what modes have of them.
+    Return static responses of a straight arm to loads at two points, and its modes there.
 
     Rows are deflection across and along the tip [m], its rotation [rad], and deflection across and
-    along the point at `pushed` from the root [m]; columns are by forces and the torque that work
-    on these [N], [N m]; both of shape (5, 5). It is stiff along unless it `stretches`.
+    along the point at `pushed` from the root [m]; columns of the first, (5, 5), are the forces and
+    the torque that work on these [N], [N m], and of the second, (5, N), the modes, which have
+    `shapes / omega**2 @ shapes.T` of the responses. It is stiff along unless it `stretches`.
 
     Source: doc/theory.md, section 2, after (T9).
     """
@@ -515,8 +516,7 @@ def compliance(manipulator: Manipulator, modes: Modes, pushed: float,
         (axial, section.axial_stiffness)))
     ends = np.array([length, pushed])
     (across, other), (along, beside) = modes.deflection(ends), modes.displacement(ends)
-    shapes = np.stack([across, along, modes.rotation(ends)[0], other, beside])
-    return whole, shapes / modes.omega**2 @ shapes.T
+    return whole, np.stack([across, along, modes.rotation(ends)[0], other, beside])
 
 
 def _outboard(manipulator, rule):

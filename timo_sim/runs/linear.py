@@ -436,8 +436,12 @@ def _residual(model, at):
         return found, lacking
     q = at[3:half]
     pushed = model.push_point.xi[0] if model.push_point else body.arm.length
-    whole, seen = compliance(body, modes, pushed, bool(model.axial))
-    residual, ends = whole - seen, np.array([body.arm.length, pushed])
+    whole, shapes = compliance(body, modes, pushed, bool(model.axial))
+    nodes = model.quadrature.nodes  # less than those of the integral, which has one in a hub
+    shapes[[1, 4]] = [each.integral[:len(nodes), 0] @ modes.stretch(nodes)  # as the model has them
+                      for each in (tip, model.push_point or tip)]
+    residual = whole - shapes / modes.omega**2 @ shapes.T
+    ends = np.array([body.arm.length, pushed])
     # Those loads per load; the tip's outputs per its deflection across and along, and rotation.
     loads, shifts = np.zeros((5, LOADS)), np.zeros((len(names), 3))
     turned = at[2] + modes.rotation(ends) @ q

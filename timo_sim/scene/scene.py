@@ -468,8 +468,10 @@ def _needed_static(body, count, left_out=_LEFT_OUT, further=(0, MORE_MODES)):
         return ()
     for static in (), ('torque',):
         for more in further:  # few modes are found sooner
-            whole, seen = (each[np.ix_(_BENDING, _BENDING)] for each in compliance(
-                body, modes_of(body, count + more, static), body.arm.length))
+            modes = modes_of(body, count + more, static)
+            whole, shapes = compliance(body, modes, body.arm.length)
+            whole, shapes = whole[np.ix_(_BENDING, _BENDING)], shapes[[*_BENDING]]
+            seen = shapes / modes.omega**2 @ shapes.T
             if (np.abs(1.0 - seen / whole) < np.transpose([left_out])).all():
                 return static
     return _STATIC['both']
