@@ -84,6 +84,34 @@ def test_parts_of_a_wrench_without_effect_are_noticed_once(running):
         assert node.output().count('no effect of') == 1 + (topic == 'tip_wrench')
 
 
+def test_a_torque_by_a_topic_bends_a_bare_tip_to_the_arc_and_the_estimate_says_so(start, client):
+    node = start(record=False, **{
+        'carrier.held': 'both', 'motor.shaft': 'locked', 'initial.shaft': 0.0,
+        'end_effector.mass': 0.0, 'end_effector.inertia': 0.0, 'arm.damping_ratio': [0.7]})
+    section = timo_sim.load_scene('paper').manipulator.arm.section
+    length, turn = 2.0, 0.3
+    message = WrenchStamped()
+    message.wrench.torque.z = turn * section.bending_stiffness / length
+    wrench = client.command(WrenchStamped, '/timo_sim/tip_wrench')
+    poses = client.collect(PoseStamped, '/timo_sim/tip_pose')
+    health = client.collect(DiagnosticArray, '/diagnostics')
+    tip = length / turn * np.array([np.sin(turn), 1.0 - np.cos(turn)])
+
+    def off():
+        at = poses[-1].pose.position
+        return np.hypot(*(tip - [at.x, at.y]))
+
+    def bent():
+        wrench.publish(message)
+        return poses and off() < 1e-6
+    client.wait(bent, 'the arc')
+    # Of the motion to it; without a static shape the tip stays 3e-3 m from the arc.
+    client.wait(
+        lambda: float(facts(health).get('estimated_tip_error_m', 'nan')) > 0.0, 'an estimate')
+    assert float(facts(health)['estimated_tip_error_m']) < 1e-3
+    assert node.end()[0] == 0
+
+
 def test_commands_go_stale(start, client):
     node = start(record=False, command_timeout=0.2)
     states = client.collect(JointState, '/joint_states')

@@ -569,10 +569,12 @@ def axial_modes(manipulator: Manipulator, count: int, constraints: Constraints) 
     scale = 1.0 / np.sqrt(strains.weights * section.axial_stiffness)
     root_mass = np.sqrt(mass)
     matrix = root_mass[:, np.newaxis] * strains.integrate_to(fine.points) * scale
-    basis, loads = np.empty((len(scale), 0)), [root_mass * (lever - centre), root_mass]
+    basis = np.empty((len(scale), 0))
+    loads = [matrix.T @ (root_mass * (lever - centre)), matrix.T @ root_mass,
+             strains.integrate_to(breaks[-1:])[0] * scale]
     for number in range(count):
-        basis = np.linalg.qr(np.column_stack([basis, matrix.T @ loads[number]]))[0]
-        loads.append(matrix @ basis[:, number])
+        basis = np.linalg.qr(np.column_stack([basis, loads[number]]))[0]
+        loads.append(matrix.T @ (matrix @ basis[:, number]))
     _, singular, rows = np.linalg.svd(matrix @ basis, full_matrices=False)
     stretch = scale[:, np.newaxis] * (basis @ (rows.T / singular))
     stretch *= np.sign(strains.interpolate_to([0.0]) @ stretch)

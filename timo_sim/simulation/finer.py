@@ -4,7 +4,7 @@
 """
 Finer runs of a scene, from whose tip the error of a run is measured.
 
-A finer run has two more modes in bending and one more axial mode, `exact` equations, and a step
+A finer run has two more modes in bending and more axial modes, `exact` equations, and a step
 of half the length, or less where it must resolve more. The distance between the tips of both runs
 is the estimated error: nothing about the motion is assumed, so it also holds where errors grow.
 
@@ -26,7 +26,7 @@ from timo_sim.scene.loads import on_boundaries
 from timo_sim.scene.scene import AXIAL_PHASE, MORE_MODES, needed_static, Scene, scene_from
 from timo_sim.simulation.warnings import unseen_load
 
-MORE_AXIAL = 1
+_STRETCHES = 3  # they answer centrifugal forces, an acceleration, a force on the tip
 PARTS = 2, 8, 32  # of a step, from which those of the finer run are chosen
 # A load that is picked up excites modes without end: there the error falls as 1/N.
 _MODES_OF_IMPACT, _MOST_MODES = 4, 40 + MORE_MODES
@@ -34,14 +34,15 @@ _MODES_OF_PUSH = 2  # a force within the arm makes a kink, whose error falls slo
 _LISTS = 'initial.modal_coordinates', 'initial.modal_rates'
 
 
-def refine(scene: Scene, parts: int, modes: int | None = None, axial: int = MORE_AXIAL,
+def refine(scene: Scene, parts: int, modes: int | None = None, axial: int | None = None,
            same_equations: bool = False) -> Scene:
     """
     Return a finer scene, with `parts` steps for each step of the scene.
 
     It has so many further `modes` in bending, by default two, or three times the present ones
-    where loads are picked up, too; and so many further `axial` modes. The first axial mode is
-    critically damped if its steps do not resolve it. Its formulation is `exact`, and it has the
+    where loads are picked up, too; and so many further `axial` modes, by default one, or all that
+    answer loads if the scene has some. The first axial mode is critically damped if its steps do
+    not resolve it. Its formulation is `exact`, and it has the
     static shapes that loads on the tip need, unless it has the `same_equations`. Its space
     contains that of the scene.
     """
@@ -51,6 +52,8 @@ def refine(scene: Scene, parts: int, modes: int | None = None, axial: int = MORE
         pushed = scene.load.terms['push_x'] or scene.load.terms['push_y']
         times = _MODES_OF_IMPACT if scene.payloads else _MODES_OF_PUSH if pushed else 1
         modes = min(times * bending + MORE_MODES, _MOST_MODES) - bending
+    if axial is None:
+        axial = max(_STRETCHES - stretching, 1) if stretching else 1
     if not bending:
         modes = axial = 0  # a rigid arm stays rigid
     if not same_equations:
