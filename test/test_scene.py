@@ -18,6 +18,7 @@ import yaml
 from oracles import elastica
 import timo_sim
 from timo_sim.cli import main
+from timo_sim.scene import files
 from timo_sim.scene.files import read_parameter_file, scene_text
 from timo_sim.scene.parameters import PARAMETERS, SCENE, short
 
@@ -413,6 +414,25 @@ def test_files_that_are_wrong_or_made_to_break_their_reader(tmp_path):
         with pytest.raises(timo_sim.ParameterError, match=words) as caught:
             timo_sim.load_scene(path)
         assert len(str(caught.value)) < 600 and '\n' not in str(caught.value)
+
+
+# Broken YAML, and what libyaml takes and PyYAML does not.
+BROKEN = ['a: 1\n\na: 2', '{a: 1, b: 2, a: 3}', 'a:\n  b: 1\n  <<: {b: 2}', 'a: [1, 2', 'a: *b',
+          'b: @', 'a: "b', 'a: 1\n b: 2', '- a\nb: 1', '%a', 'a: |#b', 'a: 1\n--- \nb: 2',
+          'a:\t1\n \t', '{a: [1?.0]}', '!!int a: 1', 'a: \x07', 'a: 2001-13-45', '- ' * 20000]
+
+
+def test_libyaml_reads_a_file_as_pyyaml_does_alone():
+    for text in [*(path.read_text() for path in (ROOT / 'config').glob('*.yaml')), *BROKEN]:
+        try:
+            expected = yaml.load(text, files._Loader)
+        except (yaml.YAMLError, ValueError, RecursionError) as error:
+            with pytest.raises(timo_sim.ParameterError) as caught:
+                files.parse_yaml(text, 'scene')
+            assert ' '.join(str(error).split()) in str(caught.value)
+        else:
+            assert text not in BROKEN and files.parse_yaml(text, 'scene') == expected
+            assert yaml.load(text, files._FastLoader) == expected
 
 
 def test_a_folder_is_an_os_error_and_a_file_of_other_bytes_is_refused(tmp_path):

@@ -4,7 +4,7 @@
 """Read scenes from YAML files, ROS parameter files or values alone, given by path or name."""
 
 from collections.abc import Iterator, Mapping
-from contextlib import contextmanager
+from contextlib import contextmanager, suppress
 import os
 from pathlib import Path
 import re
@@ -178,6 +178,17 @@ class _Loader(yaml.SafeLoader):
         raise yaml.constructor.ConstructorError(None, None, words, place.start_mark)
 
 
+class _FastLoader(getattr(yaml, 'CSafeLoader', yaml.SafeLoader)):  # type: ignore[misc]
+    """The same by libyaml, if PyYAML has it, for text without `_ODD`, so without aliases."""
+
+    flatten_mapping, _refuse = _Loader.flatten_mapping, staticmethod(_Loader._refuse)
+
+
+# What libyaml reads otherwise than PyYAML, or would overflow the stack: deep nesting, of blocks by
+# long indentation or of more than _MOST_FLOWS lists and mappings in brackets.
+_ODD, _MOST_FLOWS = re.compile('[\0\t&?\ufeff]|[>|]#|^[ :-]{100}', re.MULTILINE), 200
+
+
 def read_yaml(path: Path | str) -> Any:
     """Return the content of a YAML file, or raise ParameterError."""
     path = Path(path)
@@ -189,6 +200,10 @@ def read_yaml(path: Path | str) -> Any:
 
 def parse_yaml(content: bytes | str, source: Path | str) -> Any:
     """Return the content of YAML text or bytes, or raise ParameterError that names the source."""
+    text = content if isinstance(content, str) else content.decode('utf-8', 'replace')
+    if not _ODD.search(text) and text.count('[') + text.count('{') <= _MOST_FLOWS:
+        with suppress(Exception):  # the other loader says what is wrong
+            return yaml.load(content, _FastLoader)
     try:
         return yaml.load(content, _Loader)
     except (yaml.YAMLError, RecursionError, ValueError, LookupError, AttributeError) as error:
