@@ -116,7 +116,7 @@ def test_refusals_in_use():
     environments = ReachVectorEnv(2, autoreset_mode='Disabled', duration=0.02)
     for call, text in [
             (lambda: environments.reset(seed=[1]), 'seed must be an int or num_envs = 2'),
-            (lambda: environments.reset(options={'goal': np.nan}), 'goal must be a finite angle'),
+            (lambda: environments.reset(options={'goal': np.nan}), 'goal must be a finite number'),
             (lambda: environments.reset(options={'reset_mask': [True]}), 'mask must be 2 times'),
             (lambda: environments.step([[np.nan], [0.0]]), 'actions must be finite'),
             (lambda: environments.step(np.zeros(2)), r'of shape \(2, 1\)')]:

@@ -17,7 +17,8 @@ import numpy as np
 
 from timo_sim.extras import optional
 from timo_sim.model.layout import FORCE_X, FORCE_Y, LOADS, rotate, TORQUE
-from timo_sim.scene.parameters import Parameter, ParameterError, short, whole_ratio
+from timo_sim.scene.parameters import (
+    checked, MAPPING, numbers, NUMBERS, Parameter, ParameterError, WHOLE, whole_ratio)
 from timo_sim.scene.scene import load_scene, SceneLike
 from timo_sim.simulation.batch import Batch
 from timo_sim.simulation.simulator import Stateful
@@ -37,6 +38,10 @@ _FORCE = Parameter('force', 0.0, 'N', 'force on the carrier at an action of 1', 
 _DURATION = Parameter('duration', 4.0, 's', 'of an episode', low=0.0, open_low=True)
 _PERIOD = Parameter('period', 0.02, 's', 'from one action to the next', low=0.0, open_low=True)
 _FARTHEST_GOAL = Parameter('farthest_goal', 1.0, 'rad', 'largest angle to a goal', low=0.0)
+_MODE = Parameter('autoreset_mode', '', '', '', choices=tuple(
+    mode.value for mode in AutoresetMode))
+_SEEDS = (lambda seed: all(each is None or WHOLE[0](each) for each in (
+    seed if np.ndim(seed) else [seed])), 'a whole number, or a list of them')
 _SPEED, _EFFORT = 0.1, 0.01  # what speed [s] and squared action [rad] cost beside a distance
 
 
@@ -99,6 +104,7 @@ class ReachVectorEnv(Stateful, VectorEnv):
                  duration: float = 4.0, farthest_goal: float = 1.0, force: float = 0.0,
                  autoreset_mode: AutoresetMode | str = AutoresetMode.NEXT_STEP) -> None:
         scene, self.num_envs = load_scene(scene), _COUNT.check(num_envs)
+        num_envs = self.num_envs
         if variations is not None and len(variations) != num_envs:
             raise ParameterError(f'variations must have num_envs = {num_envs} elements, got '
                                  f'{len(variations)}')
@@ -112,11 +118,12 @@ class ReachVectorEnv(Stateful, VectorEnv):
                                  'action of 1; got .inf')
         if self._force and scene.values['carrier.held'] == 'both':
             raise ParameterError(f'force must be 0 with carrier.held: both, got {force:g} N')
-        self._mode = AutoresetMode(autoreset_mode)
+        self._mode = autoreset_mode if isinstance(autoreset_mode, AutoresetMode) else (
+            AutoresetMode(_MODE.check(autoreset_mode)))
         self.metadata = {'autoreset_mode': self._mode, 'render_modes': []}
-        self.batch, self.period = Batch(scenes), period
-        self._steps = whole_ratio('period', _PERIOD.check(period), 'integrator.step', scene.step)
-        self._periods = whole_ratio('duration', self._duration, 'period', period)
+        self.batch, self.period = Batch(scenes), _PERIOD.check(period)
+        self._steps = whole_ratio('period', self.period, 'integrator.step', scene.step)
+        self._periods = whole_ratio('duration', self._duration, 'period', self.period)
         models = [each.build() for each in scenes]
         self._length = np.array([each.manipulator.arm.length for each in scenes])
         self._bend_rate = np.array([model.tip_point.deflection[:, 0] for model in models]
@@ -132,6 +139,7 @@ class ReachVectorEnv(Stateful, VectorEnv):
         self.goal, self._elapsed = self._initial.copy(), np.zeros(num_envs, dtype=int)
         self._over = np.zeros(num_envs, dtype=bool)
 
+    @checked(seed=_SEEDS, options=MAPPING)
     def reset(self, *, seed: int | Sequence[int | None] | None = None,
               options: dict[str, Any] | None = None) -> tuple[np.ndarray, dict[str, Any]]:
         """
@@ -146,15 +154,11 @@ class ReachVectorEnv(Stateful, VectorEnv):
             seed is None or isinstance(seed, (int, np.integer))) else list(seed)
         if len(seeds) != self.num_envs:
             raise ParameterError(f'seed must be an int or num_envs = {self.num_envs} of them, got '
-                                 + short(seed))
+                                 f'{len(seeds)}')
         mask = np.asarray(options.get('reset_mask', np.ones(self.num_envs, dtype=bool)))
         self._restart(mask, seeds)
         if 'goal' in options:
-            goals = np.asarray(options['goal'], dtype=float)
-            if goals.shape not in ((), mask.shape) or not np.isfinite(goals).all():
-                raise ParameterError('goal must be a finite angle, or one for each environment, '
-                                     f'got {short(options["goal"])}')
-            self.goal = np.where(mask, goals, self.goal)
+            self.goal = np.where(mask, numbers('goal', options['goal'], (), mask.shape), self.goal)
         return self._observations(), {}
 
     def _restart(self, mask, seeds=None):
@@ -176,10 +180,7 @@ class ReachVectorEnv(Stateful, VectorEnv):
         been reset. Raises ParameterError if an action is not finite or the actions have another
         shape, or an episode is over that has not been reset, with `AutoresetMode.DISABLED`.
         """
-        actions = np.asarray(actions, dtype=float)
-        if actions.shape != self.action_space.shape or not np.isfinite(actions).all():
-            raise ParameterError(f'actions must be finite and of shape {self.action_space.shape}, '
-                                 f'got {short(actions.tolist())}')
+        actions = numbers('actions', actions, self.action_space.shape)
         actions, begins = np.clip(actions, -1.0, 1.0), self._over.copy()
         if begins.any() and self._mode is not AutoresetMode.NEXT_STEP:
             raise ParameterError(f'the episodes of environments {np.flatnonzero(begins).tolist()} '
@@ -209,6 +210,7 @@ class ReachVectorEnv(Stateful, VectorEnv):
             found = self._observations()
         return found, rewards, failed, truncations, infos
 
+    @checked(observations=NUMBERS, actions=NUMBERS)
     def reward(self, observations: np.ndarray, actions: np.ndarray) -> np.ndarray:
         """Return the rewards of a period, (num_envs,); a class of another task overrides it."""
         left, speed, _, bend_rate = observations[:, :4].astype(float).T
@@ -244,6 +246,7 @@ class ReachEnv(Stateful, gymnasium.Env):
         """Direction of the goal in the world [rad]."""
         return float(self._one.goal[0])
 
+    @checked(seed=WHOLE, options=MAPPING)
     def reset(self, *, seed: int | None = None, options: dict[str, Any] | None = None
               ) -> tuple[np.ndarray, dict[str, Any]]:
         """Begin a new episode, see `ReachVectorEnv.reset`."""
@@ -254,7 +257,8 @@ class ReachEnv(Stateful, gymnasium.Env):
 
     def step(self, action: np.ndarray) -> tuple[np.ndarray, float, bool, bool, dict[str, Any]]:
         """Let an action act for a period, see `ReachVectorEnv.step`."""
-        found, rewards, terminations, truncations, infos = self._one.step(np.array([action]))
+        action = numbers('action', action, self.action_space.shape)
+        found, rewards, terminations, truncations, infos = self._one.step(action[np.newaxis])
         return (found[0], float(rewards[0]), bool(terminations[0]), bool(truncations[0]), infos)
 
 

@@ -70,9 +70,10 @@ def feedforward(model: LinearModel, goal: Mapping[str, float], duration: float |
     array([15.])
 
     """
-    if model.dt is None:
-        raise ParameterError('the model must be of discrete time: use model.to_discrete(dt)')
-    if not isinstance(goal, Mapping):
+    if not isinstance(model, LinearModel) or model.dt is None:
+        raise ParameterError('model must be a LinearModel of discrete time: use model.to_discrete'
+                             f'(dt); got {short(model)}')
+    if not isinstance(goal, Mapping) or not goal:
         raise ParameterError("goal must have values by name of output, such as {'shaft_rad': 0.8},"
                              f' got {short(goal)}')
     values = _GOAL.check([*goal.values()])

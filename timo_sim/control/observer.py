@@ -16,7 +16,7 @@ from timo_sim.model.formulation import PointsOfArm
 from timo_sim.model.layout import INPUTS, Motion
 from timo_sim.runs.linear import difference_steps, state_names, state_places
 from timo_sim.scene.parameters import (
-    checked, MAPPING, Parameter, ParameterError, short, warn, whole_ratio)
+    checked, MAPPING, Parameter, ParameterError, short, TEXTS, warn, whole_ratio)
 from timo_sim.scene.scene import load_scene, SceneLike
 from timo_sim.simulation.derivatives import unit_loads, why_not_differentiable
 from timo_sim.simulation.loads import ARGUMENTS, check_arguments
@@ -94,6 +94,7 @@ class Observer(Stateful, PointsOfArm):
 
     """
 
+    @checked(sensors=TEXTS, disturbance=MAPPING)
     def __init__(self, scene: SceneLike, sensors: Sequence[str] | None = None,
                  disturbance: Mapping[str, Sequence[float]] | None = None) -> None:
         scene = load_scene(scene)

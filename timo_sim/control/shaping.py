@@ -12,7 +12,8 @@ import numpy as np
 from numpy.typing import ArrayLike
 
 from timo_sim.runs.modes import modes as vibrations
-from timo_sim.scene.parameters import checked, FUNCTION, NUMBERS, Parameter, ParameterError
+from timo_sim.scene.parameters import (
+    checked, CONTACT, FUNCTION, NUMBERS, Parameter, ParameterError)
 from timo_sim.scene.scene import SceneLike
 
 _ROUND_OFF = 1e-9  # relative, of a pole and of a number of periods
@@ -68,6 +69,7 @@ class Shaper:
                       @ self.amplitudes)
 
 
+@checked(contact=CONTACT)
 def shaper(plant: SceneLike | list[complex] | np.ndarray, kind: str = 'ZVD', modes: int = 1,
            tolerance: float = 0.05, contact: str = '') -> Shaper:
     """

@@ -15,7 +15,7 @@ from timo_sim.compiled.machine import TARGETS
 from timo_sim.export.constants import Interface, interface_of, Quantity, refuse
 from timo_sim.export.library import library, TEXTS
 from timo_sim.scene.files import whole_file
-from timo_sim.scene.parameters import ParameterError, short
+from timo_sim.scene.parameters import checked, FLAG, ParameterError, PATH, short, TEXT
 from timo_sim.scene.scene import load_scene, SceneLike
 from timo_sim.simulation.finer import refine
 from timo_sim.simulation.simulator import Simulator
@@ -189,6 +189,7 @@ _TAKEN = frozenset(
     close""".split())
 
 
+@checked(folder=PATH, estimate=FLAG, name=TEXT)
 def export_c(scene: SceneLike, folder: Path | str, target: str = 'host', estimate: bool = False,
              name: str = 'arm') -> Path:
     """

@@ -21,7 +21,7 @@ from timo_sim.export.c import export_c, find_compiler, link
 from timo_sim.export.constants import Interface, interface_of, Quantity
 from timo_sim.model.layout import with_unit
 from timo_sim.scene.files import whole_file
-from timo_sim.scene.parameters import ParameterError, short
+from timo_sim.scene.parameters import checked, FLAG, ParameterError, PATH, short
 from timo_sim.scene.scene import load_scene, SceneLike
 from timo_sim.version import __version__
 
@@ -47,6 +47,7 @@ class _Variable(NamedTuple):
     start: float | None = None
 
 
+@checked(path=PATH, estimate=FLAG)
 def export_fmu(scene: SceneLike, path: Path | str, version: int = 3, estimate: bool = True,
                target: str = 'host') -> Path:
     """

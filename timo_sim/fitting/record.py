@@ -198,7 +198,7 @@ class Record:
     def select(self, *outputs: str) -> Record:
         """Return the record with these outputs alone; ParameterError if it has not got one."""
         for name in outputs:
-            if name not in self.outputs:
+            if not isinstance(name, str) or name not in self.outputs:
                 raise ParameterError(f'{short(name, str)} is no output of this record, but '
                                      f'{", ".join(self.outputs)} ({self.source})')
         return replace(self, outputs={name: self.outputs[name] for name in outputs})
@@ -555,7 +555,12 @@ _NOT_REAL = {'c': 'it has complex ones', 'M': 'it has stamps', 'm': 'it has dura
 _RULES['file'] = Parameter('file', '', '', '')
 
 
-@checked(path=PATH)
+def is_mapping(value: Any) -> bool:
+    """Return whether a value says which columns are which quantities, or the file that does."""
+    return bool(value) and isinstance(value, (str, Path, Mapping))
+
+
+@checked(path=PATH, mapping=(is_mapping, 'a path, or values by name'))
 def read_record(path: str | Path,
                 mapping: str | Path | Mapping[str, Any] | None = None) -> Record:
     """

@@ -17,7 +17,8 @@ import numpy as np
 
 from timo_sim.extras import optional
 from timo_sim.fitting.next import next_inputs, NextInput
-from timo_sim.fitting.record import read_log, read_record, Record, SUFFIXES, unit_of
+from timo_sim.fitting.record import (
+    is_mapping, read_log, read_record, Record, SUFFIXES, unit_of)
 from timo_sim.fitting.problem import (
     covariance, NORMAL, Problem, r_squared, TimeIsUp, unidentified_combinations, whiteness)
 from timo_sim.fitting.posterior import Posterior, Samples
@@ -26,7 +27,7 @@ from timo_sim.fitting.suspects import name_suspects, Suspect, suspects
 from timo_sim.runs.run import Run
 from timo_sim.scene.files import scene_text, whole_file
 from timo_sim.scene.parameters import (
-    checked, FLAG, FUNCTION, MAPPING, Parameter, ParameterError, PATH, short, warn)
+    checked, FLAG, FUNCTION, MAPPING, Parameter, ParameterError, PATH, short, TEXTS, warn, WHOLE)
 from timo_sim.scene.scene import load_scene, Scene, SceneLike
 from timo_sim.simulation.finer import refine
 
@@ -272,6 +273,7 @@ class Fit(Prediction):
             'not white, so the model lacks something; intervals allow for correlated residuals')]
         return '\n'.join([*lines, *(f'warning: {each}' for each in self.warnings)])
 
+    @checked(seed=WHOLE)
     def sample(self, n: int, seed: int = 0) -> Samples:
         """
         Return n Samples of the parameters that the records allow, each as likely as the others.
@@ -323,7 +325,20 @@ _WINDOW = Parameter('window', 1.0, 's', '', low=0.0, open_low=True)
 _TIME = Parameter('time', 1.0, 's', '', low=0.0, open_low=True)
 
 
-@checked(bounds=MAPPING, tell=FUNCTION, quick=FLAG)
+def _are_records(value):
+    return all(isinstance(each, RecordLike) for each in (
+        value if isinstance(value, (list, tuple)) else [value]))
+
+
+def _are_mappings(value):
+    return all(each is None or is_mapping(each) for each in value) if isinstance(
+        value, (list, tuple)) else is_mapping(value)
+
+
+@checked(free=TEXTS, bounds=MAPPING, tell=FUNCTION, quick=FLAG,
+         record=(_are_records, 'a Record, a path, or a list of these'),
+         hold_out_records=(_are_records, 'a list of Records or paths'),
+         mapping=(_are_mappings, 'a path, values by name, or a list of these'))
 def fit(scene: SceneLike | None, record: RecordLike | Sequence[RecordLike], free: Sequence[str],
         bounds: Mapping[str, Sequence[float]] | None = None, hold_out: float = 0.0,
         window: float | None = None, loss: str = 'linear',
@@ -408,8 +423,6 @@ def fit(scene: SceneLike | None, record: RecordLike | Sequence[RecordLike], free
     window = None if window is None else _WINDOW.check(window)
     if loss not in LOSSES:
         raise ParameterError(f'loss must be one of {", ".join(LOSSES)}, got {short(loss)}')
-    if isinstance(free, str) or not all(isinstance(name, str) for name in free):
-        raise ParameterError(f'free must be a list of names, got {short(free)}')
     starts = None if starts is None else _STARTS.check(starts)
     time = None if time is None else _TIME.check(time)
     start, measured, held = read_scene_and_records(scene, record, mapping, hold_out_records)

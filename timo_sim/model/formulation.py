@@ -537,7 +537,11 @@ class PointsOfArm:
     def _points(self: Any, xi: ArrayLike | None) -> Points:
         if xi is None:
             return self.model.tip_point
-        length, xi = self.model.manipulator.arm.length, np.atleast_1d(np.asarray(xi, dtype=float))
+        length = self.model.manipulator.arm.length
+        try:
+            xi = np.atleast_1d(np.asarray(xi).astype(float, casting='same_kind'))
+        except TypeError:
+            raise ValueError(f'xi must be numbers, got {xi!r:.60}') from None
         outside = xi[~((0.0 <= xi) & (xi <= length))]
         if len(outside):
             raise ValueError(f'xi must be between 0 and arm.length = {length} m, got {outside[0]}')

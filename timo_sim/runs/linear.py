@@ -21,7 +21,7 @@ from timo_sim.model.layout import (
 from timo_sim.model.modes import compliance
 from timo_sim.scene.loads import CHANNELS
 from timo_sim.scene.parameters import (
-    checked, did_you_mean, NUMBERS, Parameter, ParameterError, TEXTS, warn)
+    checked, CONTACT, did_you_mean, numbers, NUMBERS, Parameter, ParameterError, TEXTS, warn)
 from timo_sim.scene.scene import load_scene, motor_constants, Scene, SceneLike
 from timo_sim.simulation.snapshot import Joints
 from timo_sim.steps.bristles import COLUMNS
@@ -168,12 +168,11 @@ _INPUTS = [*CHANNELS.values(), VOLTAGE]  # columns of a load
 # Largest rate of a state that counts as an equilibrium [1/s].
 _MAX_RATE = 1e-9
 _ROUND_OFF = 1e-12  # of matrices, relative to what cancels in them
-_CONTACT = Parameter('contact', '', '', '', choices=('', 'closed', 'open'))
 _UNLOADED = 1e-9  # torque of a gear that is not loaded, relative to stiffness times backlash
 _LEFT_OUT = 0.02  # largest share of a static response that rates may lack without a warning
 
 
-@checked(at=NUMBERS)
+@checked(at=NUMBERS, contact=CONTACT)
 def linearize(scene: SceneLike, at: np.ndarray | None = None, contact: str = '') -> LinearModel:
     """
     Return the linear model of a scene about a state of rest, without dry friction that sticks.
@@ -220,7 +219,8 @@ def linearize(scene: SceneLike, at: np.ndarray | None = None, contact: str = '')
 
     """
     scene = load_scene(scene)
-    at = scene.initial_motion() if at is None else np.array(at, dtype=float)
+    start = scene.initial_motion()
+    at = start if at is None else numbers('at', at, start.shape)
     half = len(at) // 2
     load = scene.load_at_start() if scene.values['initial.equilibrium'] else np.zeros(LOADS)
     load[ANGLE] = at[2]
@@ -280,7 +280,7 @@ def in_contact(scene: Scene, model: Formulation, at: np.ndarray,
     Where the gear has backlash, the model of its contact has none, and the motion, (2 (3 + N),),
     is moved by it. `contact` and errors are as of `linearize`.
     """
-    contact, gear = _CONTACT.check(contact), model.gear
+    gear = model.gear
     backlash = gear.backlash if gear else 0.0
     torque = float(model.gear_torque(at[np.newaxis])[0]) if backlash else math.inf
     loaded = abs(torque) > _UNLOADED * (gear.stiffness * backlash if gear else 0.0)

@@ -18,7 +18,7 @@ from timo_sim.model.formulation import Formulation, PointsOfArm
 from timo_sim.model.layout import ANGLE, LOADS, Motion, rotate, SPEED
 from timo_sim.model.statics import equilibrium
 from timo_sim.runs.linear import in_contact, state_matrix, warn_of_friction
-from timo_sim.scene.parameters import Parameter, ParameterError
+from timo_sim.scene.parameters import checked, CONTACT, Parameter, ParameterError
 from timo_sim.scene.scene import load_scene, Scene, SceneLike
 from timo_sim.simulation.finer import MORE_MODES, refine
 
@@ -90,6 +90,7 @@ class Vibrations(PointsOfArm):
     __repr__ = __str__
 
 
+@checked(contact=CONTACT)
 def modes(scene: SceneLike, speed: float | None = None, contact: str = '') -> Vibrations:
     """
     Return the natural vibrations of a scene about rest, or of its arm at a speed of the shaft.

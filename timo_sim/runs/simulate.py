@@ -14,7 +14,7 @@ import numpy as np
 
 from timo_sim.runs.run import Run, run_scene
 from timo_sim.scene.parameters import (
-    checked, FLAG, Parameter, ParameterError, PARAMETERS, steps_in, warn)
+    checked, FLAG, FUNCTION, Parameter, ParameterError, PARAMETERS, steps_in, warn)
 from timo_sim.scene.scene import load_scene, needed_static, Scene, scene_from, SceneLike
 from timo_sim.simulation.finer import choose_parts, refine, tip_distance
 from timo_sim.simulation.warnings import (
@@ -134,6 +134,7 @@ class Resolution(NamedTuple):
                 f'until about {self.until:.2g} s' + (f'; {self.warning}' if self.warning else ''))
 
 
+@checked(fits=FUNCTION)
 def choose_resolution(scene: SceneLike, duration: float = 0.0,
                       fits: Callable[[float], bool] = lambda step: True) -> Resolution:
     """

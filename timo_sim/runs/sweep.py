@@ -41,7 +41,7 @@ from timo_sim.runs.run import run_scene
 from timo_sim.runs.simulate import measure_error, resolve
 from timo_sim.scene.files import flatten, read_yaml, whole_file
 from timo_sim.scene.parameters import (
-    check, Parameter, ParameterError, PARAMETERS, SCENE, short, steps_in, warn)
+    check, checked, Parameter, ParameterError, PARAMETERS, SCENE, short, steps_in, TEXT, warn)
 from timo_sim.scene.scene import load_scene, Scene, SceneLike
 from timo_sim.simulation.batch import Batch, lane_size, refusal
 from timo_sim.simulation.warnings import unseen_load
@@ -77,6 +77,7 @@ SUMMARY = (
 )
 
 
+@checked(scheduler=TEXT)
 def simulate_many(scene: SceneLike, variations: Iterable[Mapping[str, Any]], duration: float,
                   workers: int | None = None,
                   scheduler: str | None = None) -> dict[str, np.ndarray]:

@@ -501,6 +501,10 @@ def _are_texts(value):
     return isinstance(value, (list, tuple)) and all(isinstance(each, str) for each in value)
 
 
+def _is_whole(value):
+    return isinstance(value, (int, np.integer)) and type(value) is not bool and 0 <= value < 2**63
+
+
 # Rules of arguments that are no parameters: a test, and the same in words.
 FLAG: Any = lambda value: isinstance(value, (bool, np.bool_)), 'true or false'
 FUNCTION: Any = callable, 'a function'
@@ -510,6 +514,22 @@ NUMBERS: Any = _are_numbers, 'a finite number, or an array of them,'
 PATH: Any = lambda value: isinstance(value, (str, os.PathLike)), 'a path'
 TEXT: Any = lambda value: isinstance(value, str), 'a text'
 TEXTS: Any = _are_texts, 'a list of names'
+CONTACT: Any = lambda value: value in ('', 'closed', 'open'), "closed, open or ''"
+WHOLE: Any = _is_whole, 'a whole number from 0 to 2^63 - 1'
+
+
+def numbers(name: str, value: Any, *shapes: tuple[int, ...]) -> np.ndarray:
+    """Return finite numbers of one of some shapes as an array, or raise ParameterError."""
+    try:
+        found = np.asarray(value).astype(float, casting='same_kind')
+        if found.shape in shapes and np.isfinite(found).all():
+            return found
+    except (TypeError, ValueError):  # also of lists of different lengths
+        pass
+    kinds = ['a finite number' if not shape else f'finite numbers of shape {shape}' if (
+        shape[1:]) else f'{"two" if shape[0] == 2 else shape[0]} finite numbers'
+        for shape in shapes]
+    raise ParameterError(f'{name} must be {" or ".join(kinds)}, got {short(value)}')
 
 
 def checked(**rules: Any) -> Callable[[_Function], _Function]:
@@ -519,12 +539,12 @@ def checked(**rules: Any) -> Callable[[_Function], _Function]:
     None is also right for an argument of which it is the default.
     """
     def decorate(function):
-        signature = inspect.signature(function)
-        optional = [name for name, each in signature.parameters.items() if each.default is None]
+        parameters = inspect.signature(function).parameters
+        optional = [name for name, each in parameters.items() if each.default is None]
 
         @functools.wraps(function)
         def call(*args, **keywords):
-            for name, value in signature.bind(*args, **keywords).arguments.items():
+            for name, value in (*zip(parameters, args), *keywords.items()):
                 if name not in rules or value is None and name in optional:
                     continue
                 test, words = rules[name]

@@ -29,8 +29,8 @@ from timo_sim.scene.files import flatten, read_parameter_file
 from timo_sim.scene.loads import (
     CHANNELS, check_slope, Drive, Harmonic, Load, Piecewise, Table)
 from timo_sim.scene.parameters import (
-    changed, check, checked, complete, DELAYS, did_you_mean, find_outdated, gives_arm, MAPPING,
-    NUMBER, Parameter, ParameterError, PARAMETERS, SCENE, short, warn, whole_ratio)
+    changed, check, checked, complete, DELAYS, did_you_mean, find_outdated, FUNCTION, gives_arm,
+    MAPPING, NUMBER, Parameter, ParameterError, PARAMETERS, SCENE, short, warn, whole_ratio)
 from timo_sim.topics.outputs import Output, outputs
 
 # Ranges of real solids; `load_scene` warns of values outside.
@@ -46,6 +46,7 @@ _MIN_SLENDERNESS = 3.0  # length over height; a shorter arm is a block, not a be
 # slowed down, with which no tested arm diverged [rad].
 AXIAL_PHASE, RESOLVED = 4.0, 0.5
 _OF_MATERIAL = 'density', 'young_modulus', 'shear_modulus'
+_MODAL = 'initial.modal_coordinates', 'initial.modal_rates'
 _JOINTS = 'carrier_x', 'carrier_y', 'shaft'
 _POSITION = [f'initial.{joint}' for joint in _JOINTS]
 _VELOCITY = [f'{name}_velocity' for name in _POSITION]
@@ -112,6 +113,8 @@ class Scene:
         """The topics that carry its motion."""
         return outputs(self.modal_count, self.manipulator.gear is not None)
 
+    @checked(basis=(lambda basis: isinstance(basis, Manipulator), 'a Manipulator'), tip=(
+        lambda tip: tip[0] >= 0.0 <= tip[1] and len(tip) == 2, 'two numbers >= 0'))
     def build(self, basis: Manipulator | None = None,
               tip: tuple[float, float] | None = None) -> Formulation:
         """
@@ -233,7 +236,7 @@ class Scene:
         names = {loads: name for name, loads in _STATIC.items()}
         return self.vary({'model.static_modes': names[self.static]})
 
-    @checked(t=NUMBER)
+    @checked(run=(lambda run: hasattr(run, 'payloads'), 'a Run'), t=NUMBER)
     def at(self, run: Any, t: float) -> Scene:
         """
         Return the scene that begins with the state of a run of the same bodies at a sample, t [s].
@@ -278,6 +281,7 @@ class Scene:
     def __setstate__(self, state):
         self.__dict__.update(state, values=MappingProxyType(state['values']))
 
+    @checked(model=(lambda model: isinstance(model, Formulation), 'a Formulation'))
     def initial_motion(self, model: Formulation | None = None) -> np.ndarray:
         """Return the motion at t = 0, shape (2 (3 + N),), of the scene's or another model."""
         if model in (None, self._own_model):
@@ -295,7 +299,7 @@ class Scene:
             # At the end of the step before: what a step with a kink inside sees is not the load.
             position[2], velocity[2] = self.load.stages(-1, 1, self.step)[
                 0, AFTER, [ANGLE, SPEED]]
-        q, qdot = map(self.modal, ('initial.modal_coordinates', 'initial.modal_rates'))
+        q, qdot = map(self.modal, _MODAL)
         motion = np.concatenate([position, q or rest, velocity, qdot or rest])
         if not values['initial.equilibrium']:
             return motion
@@ -304,6 +308,7 @@ class Scene:
         except ValueError as error:
             raise ParameterError(f'initial.equilibrium = true: {error}') from None
 
+    @checked(name=(lambda name: name in _MODAL, ' or '.join(_MODAL)))
     def modal(self, name: str) -> tuple[float, ...]:
         """Return a list of initial coordinates or rates with those of static shapes, or ()."""
         given, count = self.values[name], self.values['model.modes']
@@ -411,7 +416,8 @@ def scene_from(values: Mapping[str, Any], static: tuple[str, ...] | None = None,
     return scene
 
 
-def project_on_modes(scene: Scene, deflection: Callable[[np.ndarray], Any],
+@checked(deflection=FUNCTION, rotation=FUNCTION)
+def project_on_modes(scene: SceneLike, deflection: Callable[[np.ndarray], Any],
                      rotation: Callable[[np.ndarray], Any]) -> tuple[float, ...]:
     """
     Project a deflection field, or a velocity field, on the modes of a scene.
@@ -422,7 +428,7 @@ def project_on_modes(scene: Scene, deflection: Callable[[np.ndarray], Any],
 
     Parameters
     ----------
-    scene : Scene
+    scene : Scene, or what `load_scene` takes
     deflection, rotation : function(ndarray) -> array_like
         Deflection w(xi) in the arm frame [m] and rotation phi(xi) [rad], or their rates, for xi of
         shape (p,) [m].
@@ -435,7 +441,7 @@ def project_on_modes(scene: Scene, deflection: Callable[[np.ndarray], Any],
     >>> bent = scene.vary({'initial.modal_coordinates': q})
 
     """
-    return tuple(scene.build().project_on_modes(deflection, rotation).tolist())
+    return tuple(load_scene(scene).build().project_on_modes(deflection, rotation).tolist())
 
 
 # The argument `static` of a Formulation, by `model.static_modes`.

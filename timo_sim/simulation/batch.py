@@ -15,10 +15,10 @@ from timo_sim.compiled.functions import WIDTH
 from timo_sim.model.layout import (
     AFTER, INPUTS, LOADS, Motion, rotate, START, STEP_LOADS, TORQUE, VOLTAGE)
 from timo_sim.scene.loads import CHANNELS, Load
-from timo_sim.scene.parameters import Parameter, ParameterError, steps_in
+from timo_sim.scene.parameters import numbers, Parameter, ParameterError, steps_in
 from timo_sim.scene.scene import (
     load_scene, motor_constants, Scene, scene_from, SceneLike)
-from timo_sim.simulation.loads import Actuators, commanded_load, limits_of
+from timo_sim.simulation.loads import Actuators, commanded_load, limits_of, whole_load
 from timo_sim.simulation.simulator import COUNT, MOST_BENT, SAMPLE_EVERY, Stateful
 from timo_sim.simulation.warnings import divergence, unseen_load
 from timo_sim.steps.lanes import from_lanes, LaneSteps, to_lanes
@@ -212,6 +212,7 @@ class Batch(Stateful):
 
     def reason(self, number: int) -> str:
         """Return why a manipulator has failed, as the text of a DivergenceError, or ''."""
+        number = Parameter('number', 0, '', '', low=0, high=self.n - 1).check(number)
         if not self.failed[number]:
             return ''
         scene = self.scenes[number]
@@ -229,12 +230,8 @@ class Batch(Stateful):
         if chosen.shape != (self.n,) or chosen.dtype != bool:
             raise ParameterError(f'mask must be {self.n} times true or false, got an array of '
                                  f'{chosen.dtype} of shape {chosen.shape}')
-        motions = self._initial if motion is None else np.asarray(motion, dtype=float)
-        if motions.shape not in (self._initial.shape, self._initial.shape[1:]) or not (
-                np.isfinite(motions).all()):
-            raise ParameterError(
-                f'motion must be finite and of the shape {self._initial.shape} or '
-                f'{self._initial.shape[1:]}, got {motions.shape}')
+        motions = self._initial if motion is None else numbers(
+            'motion', motion, self._initial.shape, self._initial.shape[1:])
         motions, lanes = np.broadcast_to(motions, self._initial.shape), self._lanes
         states = self._at_start if motion is None else self._states_of(motions, chosen)
         for field, new in ((lanes.state, states), (lanes.motion, motions),
@@ -280,8 +277,10 @@ class Batch(Stateful):
         `commanded`, (n, LOADS) or (LOADS,), are commands during all of them, see `model.layout`.
         The motions are those at the start and after each `sample_every` steps; with 0 none.
         """
-        if not (type(count) is type(sample_every) is int and min(count, sample_every) >= 0):
+        if not type(count) is type(sample_every) is int or (count | sample_every) >> 53:
             count, sample_every = COUNT.check(count), SAMPLE_EVERY.check(sample_every)
+        if commanded is not None:
+            commanded = whole_load(commanded, (self.n, LOADS), (LOADS,))
         with self._lock:
             return from_lanes(self._advance(count, commanded, sample_every)[0], self.n)
 

@@ -16,7 +16,7 @@ from timo_sim.compiled.constants import pack
 from timo_sim.model.formulation import Formulation
 from timo_sim.model.layout import INPUTS, LOADS, STEP_LOADS
 from timo_sim.model.statics import pick_up
-from timo_sim.scene.parameters import did_you_mean, ParameterError, short
+from timo_sim.scene.parameters import did_you_mean, numbers, ParameterError, short
 from timo_sim.scene.scene import motor_constants, Scene
 from timo_sim.steps import loads as steps_loads
 from timo_sim.steps.steps import NO_LOADS
@@ -53,28 +53,27 @@ def commanded_load(values: Mapping[str, Any], many: tuple[int, ...] = (),
     for name, given in commands.items():
         columns = ARGUMENTS[name]
         if isinstance(given, (int, float)) and isinstance(columns, int) and (
-                math.isfinite(given) and not INPUTS[columns].needs):  # the most frequent case
+                abs(given) < 1e300 and not INPUTS[columns].needs):  # the most frequent case
             load[..., columns] = given
             continue
         shape = np.shape(columns)
-        try:
-            numbers = np.asarray(given, dtype=float)
-            good = numbers.shape in (shape, (*many, *shape)) and np.isfinite(numbers).all()
-        except (TypeError, ValueError):
-            good = False
-        if not good:
-            kind = 'two finite numbers' if shape else 'a finite number'
-            kind += f', or an array of them of shape {(*many, *shape)}' if many else ''
-            raise ParameterError(f'{name} must be {kind}, got {short(given)}')
-        load[..., columns] = numbers
+        load[..., columns] = numbers(name, given, *dict.fromkeys([shape, (*many, *shape)]))
         for column in columns if shape else [columns]:
-            each, numbers = INPUTS[column], load[..., column]
+            each, found = INPUTS[column], load[..., column]
             if each.needs:
-                lacking = numbers[(numbers != 0.0) & (np.asarray(values[each.needs]) == 0.0)]
+                lacking = found[(found != 0.0) & (np.asarray(values[each.needs]) == 0.0)]
                 if lacking.size:
                     raise ParameterError(f'{each.name} = {lacking.flat[0]:g} {each.unit} needs '
                                          f'{each.needs} > 0, got 0')
     return load
+
+
+def whole_load(commanded: Any, *shapes: tuple[int, ...]) -> np.ndarray:
+    """Return commands, an array of one of some shapes, or raise ParameterError; fast if right."""
+    if isinstance(commanded, np.ndarray) and commanded.shape in shapes and (
+            commanded.dtype.kind == 'f'):
+        return commanded
+    return numbers('commanded', commanded, *shapes)
 
 
 def limits_of(values: Mapping[str, Any]) -> list[list[float]]:

@@ -20,15 +20,17 @@ from numpy.typing import ArrayLike
 
 from timo_sim.compiled.machine import telling
 from timo_sim.model.formulation import PointsOfArm
-from timo_sim.model.layout import AFTER, Motion
-from timo_sim.scene.parameters import check_runtime, Parameter, ParameterError, short, steps_in
-from timo_sim.scene.scene import load_scene, Scene, scene_from, SceneLike
+from timo_sim.model.layout import AFTER, LOADS, Motion
+from timo_sim.scene.parameters import (
+    check_runtime, checked, FLAG, FUNCTION, numbers, Parameter, ParameterError, steps_in,
+    TEXTS, WHOLE)
+from timo_sim.scene.scene import load_scene, scene_from, SceneLike
 from timo_sim.simulation import warnings
 from timo_sim.simulation.derivatives import (
     StepDerivatives, unit_loads, why_not_differentiable)
 from timo_sim.simulation.finer import choose_parts, refine, tip_distance
 from timo_sim.simulation.loads import (
-    Actuators, commanded_load, LoadTable, tip_of, TipLoad)
+    Actuators, commanded_load, LoadTable, tip_of, TipLoad, whole_load)
 from timo_sim.simulation.snapshot import Sensors, Snapshot
 from timo_sim.simulation.warnings import DivergenceError
 from timo_sim.steps.derivatives import step_derivatives
@@ -38,7 +40,7 @@ from timo_sim.steps.steps import CHUNK, Samples
 # Deflection beyond which the run counts as diverged, in arm lengths.
 MOST_BENT = 10.0
 COUNT = Parameter('count', 1, '', 'number of steps', low=0, high=2**53)
-SAMPLE_EVERY = Parameter('sample_every', 1, '', 'steps between samples, 0: none', low=0)
+SAMPLE_EVERY = replace(COUNT, name='sample_every', meaning='steps between samples, 0: none')
 _MOST_BEHIND = 256  # most calls of `advance` that the finer run may be behind
 # Steps for which the finer run is called at once: a call takes as long as some steps.
 STEPS_BEHIND = 8
@@ -133,6 +135,7 @@ class Simulator(Stateful, PointsOfArm):
 
     """
 
+    @checked(estimate=FLAG)
     def __init__(self, scene: SceneLike, estimate: bool = False) -> None:
         self.steps, scene = 0, load_scene(scene)
         self._first_body, self.tip_load = scene.manipulator, TipLoad(tip_of(scene))
@@ -185,6 +188,9 @@ class Simulator(Stateful, PointsOfArm):
 
     def snapshot(self, state: np.ndarray | None = None) -> Snapshot:
         """Return a Snapshot of now: valid until the next step, or longer with a kept state."""
+        if state is not None and np.shape(state) != self._state.shape:
+            raise ParameterError(f'state must be an array of shape {self._state.shape}, got one '
+                                 f'of {np.shape(state)}')
         acts = self._state if state is None else state, self.integration.acting(self.load)
         return Snapshot(self.scene, self.model, self.steps, self.nanoseconds, self.motion.values,
                         self._load.tolist(), acts)
@@ -215,12 +221,13 @@ class Simulator(Stateful, PointsOfArm):
                 self._compare(self.motion.values[np.newaxis], self._finer,
                               self._finer.motion.values[np.newaxis])
 
-    def change(self, scene: Scene) -> None:
+    def change(self, scene: SceneLike) -> None:
         """
         Go on with another scene: other loads, damping, viscous friction, limits or end effector.
 
         Raises ParameterError if parameters differ that cannot be set while it runs.
         """
+        scene = load_scene(scene)
         check_runtime(self.scene.values, scene.values)
         scene = scene_from(scene.values, self.scene.static)  # whatever its end effector needs
         with self._lock:
@@ -250,6 +257,7 @@ class Simulator(Stateful, PointsOfArm):
         return scene.build(replace(scene.manipulator, end_effector_mass=first.end_effector_mass,
                                    end_effector_inertia=first.end_effector_inertia), tip)
 
+    @checked(tell=FUNCTION, messages=FLAG)
     def warm_up(self, tell: Callable[[str], object] | None = None, messages: bool = False) -> None:
         """
         Compile, or load from disk, the functions that `advance` calls.
@@ -307,6 +315,7 @@ class Simulator(Stateful, PointsOfArm):
             self._advance(count, commanded, Samples(count, *self._ends))
             return Motion(self._ends[0][-1].copy())
 
+    @checked(inputs=TEXTS)
     def step_derivatives(self, inputs: Sequence[str] = ('force', 'torque'), *,
                          duration: float | None = None, **commands: Any) -> StepDerivatives:
         """
@@ -354,10 +363,7 @@ class Simulator(Stateful, PointsOfArm):
         another shape or is not finite, or the simulator estimates its error, which would then be
         that of another run.
         """
-        values = np.asarray(motion, dtype=float)
-        if values.shape != (self.model.size,) or not np.isfinite(values).all():
-            raise ParameterError(f'motion must be {self.model.size} finite numbers, got '
-                                 f'{short(motion)}')
+        values = numbers('motion', motion, (self.model.size,))
         if self._finer:
             raise ParameterError('set_motion needs a Simulator with estimate=False')
         with self._lock:
@@ -384,11 +390,14 @@ class Simulator(Stateful, PointsOfArm):
             If the state is not finite or the arm bent by more than ten lengths; the simulator is
             then at the last good step.
         ParameterError
-            If `count` or `sample_every` is negative or no whole number.
+            If `count` or `sample_every` is negative or no whole number, or `commanded` has
+            another shape.
 
         """
-        if not (type(count) is type(sample_every) is int and count >= 0 <= sample_every):
+        if not type(count) is type(sample_every) is int or (count | sample_every) >> 53:
             count, sample_every = COUNT.check(count), SAMPLE_EVERY.check(sample_every)
+        if commanded is not None:
+            commanded = whole_load(commanded, (LOADS,))
         with self._lock:
             samples = self.integration.samples(count, sample_every)
             self._advance(count, commanded, samples)
@@ -454,6 +463,7 @@ class Simulator(Stateful, PointsOfArm):
             self.measure_error()
             return self._error
 
+    @checked(steps=WHOLE)
     def measure_error(self, steps: int = 0) -> bool:
         """
         Advance the finer run, and measure how far apart the tips of both runs are.
