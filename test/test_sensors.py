@@ -68,8 +68,7 @@ def test_acceleration_is_the_second_difference_of_the_tips_position(name, paper,
     assert error(sixth, 1) < 2e-8 * np.linalg.norm(found)
 
 
-# Without newton_root_stress, in which a rigid arm has no inertia for the shaft.
-@pytest.mark.parametrize('formulation', ['exact', 'newton', 'newton_rigid_axial'])
+@pytest.mark.parametrize('formulation', FORMULATIONS)
 def test_imu_on_a_rigid_arm(formulation):
     """The acceleration of a free body under a torque, centripetal and tangential."""
     turning, torque = 3.0, 4.0
@@ -121,7 +120,7 @@ def test_root_strain_follows_from_the_moment_on_the_shaft(formulation):
     assert strains[2:-2] == pytest.approx(expected, abs=2e-5 * np.abs(expected).max())
 
 
-@pytest.mark.parametrize('formulation', ['exact', 'newton', 'newton_rigid_axial'])
+@pytest.mark.parametrize('formulation', FORMULATIONS)
 def test_strain_under_a_constant_force_is_that_of_statics(formulation):
     """Of a locked arm, damped to rest: F l h / (2 E I), and no acceleration."""
     scene = timo_sim.load_scene({}, {

@@ -14,6 +14,7 @@ import numpy as np
 from PIL import Image
 
 from benchmark import ROOT
+from benchmark.figures.root_reactions import MENTIONED
 from benchmark.report import BLACK, BLUE, fill, GREEN, ORANGE, parser, RED, table
 from oracles import slips
 from oracles.references import (
@@ -24,6 +25,7 @@ from timo_sim.model import FORMULATIONS
 FIGURES = ROOT / 'doc' / 'paper'
 MODES = 5
 NAMES = {'0': '0', 'l4': 'l/4', 'l2': 'l/2', '3l4': '3l/4', 'l': 'l'}
+FORMULATIONS.update(MENTIONED)
 COLOURS = dict(zip(FORMULATIONS, (BLUE, ORANGE, GREEN, RED)))
 PAPER_TABLE_2 = [(1.7869, 1.7875, 0.04), (9.0738, 9.0740, 0.00), (29.8108, 29.8107, 0.00),
                  (74.9902, 74.9893, 0.00), (143.8872, 143.8841, 0.00)]

@@ -18,7 +18,6 @@ import numpy as np
 import timo_sim
 
 CHANNELS = ('force_x', 'force_y', 'torque', 'tip_force_x', 'tip_force_y', 'tip_torque')
-NEWTON = ('newton', 'newton_root_stress', 'newton_rigid_axial')
 ROUND = 16  # rounds of kinds, of which the first has no damping, friction and initial bend
 # Each number is compiled once; others would take minutes and test nothing new.
 _MODES, _CORNER_MODES = (3, 5), (0, 1, 8, 12)
@@ -56,7 +55,7 @@ class _Draw:
             self.held = self.one('x', 'y', 'both', 'both')
         if self.maybe(0.25):
             self.joint = self.one('locked', 'driven')
-        self.formulation = 'exact' if self.maybe(0.8) else self.one(*NEWTON)
+        self.formulation = 'exact' if self.maybe(0.8) else 'newton'
         self.modes, self.axial = int(random.choice(_MODES)), int(self.maybe(0.2))
         # Steps in a period of the first clamped mode, and how many periods.
         self.per_period, self.periods = log(30.0, 2000.0), log(1.0, 30.0)
@@ -107,11 +106,11 @@ def _one_axis(draw):
 
 def _mix(draw):
     draw.held, draw.joint = draw.one('none', 'x', 'y', 'both'), draw.one('locked', 'driven')
-    draw.formulation = draw.one('exact', *NEWTON)
+    draw.formulation = draw.one('exact', 'newton')
 
 
 def _newton(draw):
-    draw.formulation = draw.one(*NEWTON)
+    draw.formulation = 'newton'
 
 
 def _thin_spin(draw):
@@ -313,7 +312,7 @@ def laden_cell(number, seed=1):
                                          'initial.modal_coordinates': []}).build().modes.omega[0]
         angle, strength = random.uniform(-np.pi, np.pi), 0.7 * log(1e-3, 0.3) * length * first**2
         values['gravity'] = [strength * np.cos(angle), strength * np.sin(angle)]
-    if kind != 'gravity' and values['model.formulation'] != 'newton_root_stress':
+    if kind != 'gravity':
         count = int(random.integers(1, 3))
         steps = np.sort(random.choice(given.steps, min(count, given.steps), replace=False)) + 1
         values['payload.time'] = (steps * values['integrator.step']).tolist()

@@ -64,8 +64,7 @@ def vibrating(formulation, **overrides):
 @pytest.mark.parametrize('values', [
     {}, {'model.modes': 0}, {'model.axial_modes': 2}, {'carrier.held': 'x'},
     {'carrier.held': 'x', 'model.axial_modes': 1}, {'carrier.held': 'both'},
-    {'model.formulation': 'newton', 'motor.shaft': 'locked'},
-    {'model.formulation': 'newton_rigid_axial'}])
+    {'model.formulation': 'newton', 'motor.shaft': 'locked'}])
 def test_energy_is_that_of_masses_and_strain(values, picked_up):
     """Kinetic energy by the mass matrix, gravity's by the places of the masses, both in NumPy."""
     scene = timo_sim.load_scene({}, {'model.modes': 3, 'gravity': [1.5, -9.81], **values})
@@ -107,7 +106,7 @@ def test_newton_conserves_linear_momentum_only():
     assert np.abs(momentum[:, 2] - momentum[0, 2]).max() > 1e-6
 
 
-@pytest.mark.parametrize('formulation', ALL_FORCES + ['newton_rigid_axial'])
+@pytest.mark.parametrize('formulation', ALL_FORCES)
 def test_rigid_arm_is_a_rigid_body(formulation):
     """Compare with Euler's equations of a body pushed off its mass centre, solved by SciPy."""
     scene = timo_sim.load_scene({
@@ -220,7 +219,7 @@ def test_fast_spin_with_large_vibration_stays_bounded(modes, step, limit):
 @pytest.mark.parametrize('name, axial, across, silent', [
     ('newton', 0.0, 10.0, True), ('newton', -0.02, 10.0, True), ('newton', -0.3, 10.0, False),
     ('newton', 0.3, 10.0, False), ('newton', -1.55, 0.0, False), ('newton', -0.95, 1.0, False),
-    ('newton', 0.0, 120.0, False), ('newton_rigid_axial', -0.3, 10.0, False)])
+    ('newton', 0.0, 120.0, False)])
 def test_newton_warns_where_axial_force_and_deflection_matter(name, axial, across, silent):
     """There is no warning where `exact` agrees to a thousandth of the arm's length, only there."""
     base = {'carrier.held': 'both', 'motor.shaft': 'locked', 'initial.shaft': 0.0,

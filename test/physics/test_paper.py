@@ -6,9 +6,17 @@
 import numpy as np
 import pytest
 
+from benchmark.figures.root_reactions import MENTIONED
 from oracles import references, slips
 from oracles.references import LENGTH, read, station, STATIONS, TORQUE
 import timo_sim
+from timo_sim.model import FORMULATIONS
+
+
+@pytest.fixture(autouse=True)
+def mentioned(monkeypatch):
+    for name, place in MENTIONED.items():
+        monkeypatch.setitem(FORMULATIONS, name, place)
 
 
 @pytest.fixture(scope='module')

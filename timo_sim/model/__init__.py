@@ -13,12 +13,10 @@ from importlib import import_module
 from typing import Any
 
 # Module and class of each formulation by name. Modules are imported on demand, so that listing
-# the names is cheap.
+# the names is cheap. Another package adds its formulations to them.
 FORMULATIONS = {
     'exact': 'timo_sim.model.exact:Exact',
     'newton': 'timo_sim.model.newton:Newton',
-    'newton_root_stress': 'timo_sim.model.newton:NewtonRootStress',
-    'newton_rigid_axial': 'timo_sim.model.newton:NewtonRigidAxial',
 }
 
 

@@ -70,7 +70,6 @@ class Laws(NamedTuple):
     shear_softening: np.ndarray  # U, (N,)
     shear_stress: np.ndarray    # Y, (N,)
     axial: np.ndarray           # e, (N,)
-    tip_share: float = 1.0      # share of a load on the tip in the shaft's row and in V(0)
 
 
 class Newton(Formulation):
@@ -152,8 +151,7 @@ class Newton(Formulation):
             np.array([self.manipulator.carrier_friction, self.manipulator.shaft_friction]),
             np.array(self.manipulator.coulomb), np.reshape(self.manipulator.motor_limit, (-1, 2)),
             self.axes, self.held_position,
-            lever[-1], laws.tip_share,
-            deflection[:, -1], rotation[:, -1], self.gravity,
+            lever[-1], deflection[:, -1], rotation[:, -1], self.gravity,
             self.push_point.lever[0] if self.push_point else 0.0,
             self.push_point.deflection.T if self.push_point else np.empty((0, len(stiffness))),
             self.manipulator.shaft_inertia + mass @ lever**2 + inertia.sum(), laws.shear_mass,
@@ -208,57 +206,6 @@ class Newton(Formulation):
         return np.stack([np.zeros_like(rate), rate], axis=-1)
 
 
-class NewtonRootStress(Newton):
-    """
-    The `newton_root_stress` formulation: root reactions from the truncated series.
-
-    This is the literal reading of the paper's section 3.3: `V(0) = kappa G A (w' - phi)(0)` and
-    `M(0) = E I phi'(0)` with (36), where `kappa G A (W_n' - Phi_n)(0) = omega_n^2 a_n` and
-    `E I Phi_n'(0) = omega_n^2 b_n`; a damped mode adds its damping stress. With the k of `newton`,
-
-        J_m theta'' = tau + b.k     V(0) = a.k                               (T20)
-
-    replace its rows for theta and V(0). A load on the tip acts on the modes and P(0) alone. The
-    mass beyond mode N does not load the carrier: with N = 5 in the paper's scene 5 % of the arm's
-    mass.
-    """
-
-    def laws(self) -> Laws:
-        """Return the coefficients of the equations of motion."""
-        laws, body = super().laws(), self.manipulator
-        if body.shaft_inertia == 0.0 and not self.constraints.driven:
-            raise ValueError('newton_root_stress needs a shaft inertia > 0: the reaction M(0) of '
-                             'the truncated series acts on the shaft alone')
-        if not self.own_modes:
-            raise ValueError('newton_root_stress knows the reactions of the modes of one end '
-                             'effector alone: it cannot be changed')
-        matrix, softening, stress = laws.matrix.copy(), laws.softening.copy(), laws.stress.copy()
-        matrix[0] = 0.0
-        matrix[0, 0] = body.shaft_inertia
-        softening[0] = 0.0
-        stress[0] = -laws.matrix[0, 1:]
-        zero = np.zeros_like(laws.axial)
-        return laws._replace(
-            matrix=matrix, column=np.append(0.0, self.modal_moments), softening=softening,
-            stress=stress, shear_mass=0.0, shear_row=np.zeros_like(laws.column),
-            shear_softening=zero, shear_stress=self.modal_moments, tip_share=0.0)
-
-
-class NewtonRigidAxial(Newton):
-    """
-    The `newton_rigid_axial` formulation: the axial assumption that the paper warns of.
-
-    It is `newton` with (35) in place of (34): the axial force at the root is that of a rigid body,
-    `P(0) = -m_a a_I(chi)`, with the acceleration (26) of the mass centre at xi = chi, which
-    includes w(chi). See doc/theory.md (T21).
-    """
-
-    def laws(self) -> Laws:
-        """Return the coefficients of the equations of motion."""
-        centre = np.array([self.point_mass @ self.points.xi / self.arm_mass])
-        return super().laws()._replace(axial=self.arm_mass * self.modes.deflection(centre)[0])
-
-
 # Compiled functions. `driven` is 1 if the shaft is driven or locked, so that theta has no row.
 
 class Tables(NamedTuple):
@@ -292,7 +239,6 @@ class Tables(NamedTuple):
     axes: Annotated[np.ndarray, int, 'axes']               # axes along which the carrier is free
     held_position: Annotated[np.ndarray, 2]                # of a carrier that is held
     length: float        # r_h + l
-    tip_share: float     # share of a load on the tip, see `Laws`
     tip_deflection: Annotated[np.ndarray, 'modes']         # W_n at the tip
     tip_rotation: Annotated[np.ndarray, 'modes']           # Phi_n at the tip
     gravity: Annotated[np.ndarray, 2]                      # g along world x and y
@@ -458,8 +404,7 @@ def _rate(tables, state, load, out):
     sine, cosine = sincos(theta)
     tip_1 = load[TIP_I] + cosine * load[TIP_X] + sine * load[TIP_Y]
     tip_2 = load[TIP_II] - sine * load[TIP_X] + cosine * load[TIP_Y]
-    tip_moment = tables.tip_share * (
-        load[TIP_TORQUE] + tables.length * tip_2 - _dot(tables.tip_deflection, q) * tip_1)
+    tip_moment = load[TIP_TORQUE] + tables.length * tip_2 - _dot(tables.tip_deflection, q) * tip_1
     push_1, push_2, push_moment = _push(tables, q, load, cosine, sine)
     force, z = local((tables.softening,)), local((tables.softening,))
     _set_z_0(tables, q, omega, load, tip_2, push_2, tip_moment + push_moment, force, z)
@@ -475,7 +420,7 @@ def _rate(tables, state, load, out):
     axial = (bent * theta_acceleration + 2.0 * omega * _dot(tables.axial, qdot)
              + omega * omega * tables.first_moment + tip_1 + push_1)
     shear = (linear_shear - _dot(tables.shear_row, z)
-             + omega * omega * _dot(tables.shear_softening, q) + tables.tip_share * tip_2 + push_2)
+             + omega * omega * _dot(tables.shear_softening, q) + tip_2 + push_2)
     tilt = bent * tables.response[0]  # -P(0) per beta
     beta = _set_carrier(tables, state, load, cosine, sine, axial, shear, tilt, out)
 
@@ -520,7 +465,7 @@ def _effort(tables, motion, accelerations, load, out):
     tip_1 = load[TIP_I] + cosine * load[TIP_X] + sine * load[TIP_Y]
     tip_2 = load[TIP_II] + cosine * load[TIP_Y] - sine * load[TIP_X]
     axial = tip_1 - tables.arm_mass * alpha + omega * omega * tables.first_moment
-    shear = (tables.tip_share * tip_2 - tables.shear_mass * beta - turn * tables.shear_row[0])
+    shear = tip_2 - tables.shear_mass * beta - turn * tables.shear_row[0]
     torque = turn * tables.shaft_row[0] + tables.shaft_column * beta
     bent = 0.0
     for n in range(count):
@@ -534,8 +479,7 @@ def _effort(tables, motion, accelerations, load, out):
         bent += tables.tip_deflection[n] * q
     out[0] = tables.base_mass * accelerations[0] - (cosine * axial - sine * shear)
     out[1] = tables.base_mass * accelerations[1] - (sine * axial + cosine * shear)
-    out[2] = torque - tables.tip_share * (
-        load[TIP_TORQUE] + tables.length * tip_2 - bent * tip_1)
+    out[2] = torque - (load[TIP_TORQUE] + tables.length * tip_2 - bent * tip_1)
     for k in range(len(tables.push_deflection)):
         along, across = tables.push_place, 0.0
         for n in range(count):

@@ -9,7 +9,7 @@ gives any of `arm` has nothing of it (`complete`). Values are given by dotted na
 an element of a list.
 """
 
-from collections.abc import Callable, Iterable, Mapping
+from collections.abc import Callable, Collection, Iterable, Mapping
 from dataclasses import dataclass
 import difflib
 import functools
@@ -66,7 +66,7 @@ class Parameter:
     low: float = -math.inf   # range of the value, or of each element
     high: float = math.inf
     open_low: bool = False   # whether `low` itself is excluded
-    choices: tuple = ()      # allowed texts; empty: all
+    choices: Collection[str] = ()  # allowed texts; empty: all
     form: tuple = ()         # of a text: a regular expression, and the same rule in words
     scope: str = SCENE       # SCENE: part of the physics; NODE: only the node has it
     runtime: bool = False    # whether it can be set while the node runs
@@ -375,7 +375,7 @@ _ALL = [
     Parameter('initial.equilibrium', False, '', 'whether the run begins at rest where gravity and '
               'the loads of t = 0 balance; a free shaft is sought from initial.shaft on'),
     Parameter('model.formulation', 'exact', '', 'equations of motion',
-              choices=tuple(FORMULATIONS)),
+              choices=FORMULATIONS),
     Parameter('model.modes', 3, '', 'number of assumed modes; 0 is a rigid arm', low=0, high=40),
     Parameter('model.static_modes', 'auto', '', 'loads whose static shapes follow the modes: '
               'force or torque on the end effector, both, or the weight in gravity; auto: those '
@@ -443,9 +443,6 @@ PARAMETERS = {parameter.name: parameter for parameter in _ALL}
 DEFAULTS = {name: parameter.default for name, parameter in PARAMETERS.items()}
 RATES = [name for name in PARAMETERS if name.startswith('rate.')]
 DELAYS = [name for name in PARAMETERS if name.endswith('.delay')]
-
-
-_TIP = 'end_effector.mass', 'end_effector.inertia'
 
 
 def check(values: Mapping[str, Any], source: str) -> dict[str, Any]:
@@ -567,13 +564,11 @@ def steps_in(duration: Any, step: float) -> int:
 
 def check_runtime(values: Mapping[str, Any], later: Mapping[str, Any]) -> None:
     """Raise ParameterError if `later` changes what cannot be set while a simulation runs."""
-    reactions = values['model.formulation'] == 'newton_root_stress'
-    fixed = [name for name, value in later.items() if value != values[name] and (
-        not PARAMETERS[name].runtime or reactions and name in _TIP)]
+    fixed = [name for name, value in later.items()
+             if value != values[name] and not PARAMETERS[name].runtime]
     if fixed:
         raise ParameterError(f'{fixed[0]} = {short(later[fixed[0]])} cannot be set while a '
-                             f'simulation{" of newton_root_stress" * (fixed[0] in _TIP)} runs; '
-                             f'it stays {short(values[fixed[0]])}')
+                             f'simulation runs; it stays {short(values[fixed[0]])}')
 
 
 # What a scene of its own has where it does not say; the paper's manipulator has other values.

@@ -761,9 +761,7 @@ def check_together(values: Mapping[str, Any]) -> None:
             ('initial.equilibrium', 'false', 'motor.shaft', shaft == 'driven'),
             *((name, 'empty or 0', 'initial.equilibrium', values['initial.equilibrium'])
               for name in (*_VELOCITY, 'initial.modal_coordinates', 'initial.modal_rates')),
-            ('model.axial_modes', '0', 'model.formulation', formulation != 'exact'),
-            ('payload.time', 'empty', 'model.formulation', formulation == 'newton_root_stress'),
-            ('push.position', '0', 'model.formulation', formulation == 'newton_root_stress')):
+            ('model.axial_modes', '0', 'model.formulation', formulation != 'exact')):
         if forbidden and values[name]:
             raise ParameterError(f'{name} must be {rule} with {other} = {values[other]}, got '
                                  f'{short(values[name])}')
