@@ -11,6 +11,7 @@ import pytest
 from oracles import spectral_elements
 import timo_sim
 from timo_sim.log.tables import Recording
+from timo_sim.model.layout import rotate
 from timo_sim.runs.replay import replay
 from timo_sim.runs.run import run_scene
 from timo_sim.simulation.energy import work
@@ -59,6 +60,22 @@ def test_a_load_picked_up_from_rest_against_spectral_elements():
     carrier, shaft, tip, _ = spectral_elements.simulate(scene, 0.1, 6, courant=0.9)
     assert np.abs(run.carrier - carrier).max() < 1e-5
     assert np.abs(run.position(2.0) - tip).max() < 2e-5
+
+
+def test_the_deflection_of_an_arm_on_a_light_shaft_has_an_estimate_of_its_own():
+    """The heavy load keeps the tip in its place, while shaft and deflection are off."""
+    scene = timo_sim.load_scene({}, {
+        'carrier.held': 'both', 'initial.shaft_velocity': 0.5, 'motor.shaft_inertia': 0.01,
+        'end_effector.mass': 0.0, 'end_effector.inertia': 0.0, **PICKED,
+        'end_effector.pick_up': 'at_rest'})
+    with pytest.warns(timo_sim.ModelWarning, match='the deflection of the tip is 0.02'):
+        run = timo_sim.simulate(scene, 0.6, sample_every=10)
+    _, shaft, tip, _ = spectral_elements.simulate(scene, 0.01, 60, courant=0.9)
+    off = np.linalg.norm(run.position(2.0) - tip, axis=1).max()
+    bend = np.linalg.norm(
+        run.deflection(2.0) + [2.0, 0.0] - np.stack(rotate(-shaft, *tip.T), -1), axis=1).max()
+    assert off < 5e-4 and 0.8 < run.stats['estimated_tip_error_m'] / off < 1.25
+    assert bend > 1e-2 and 0.8 < run.stats['estimated_deflection_error_m'] / bend < 1.25
 
 
 def test_a_rigid_arm_picks_up_a_load_at_rest():

@@ -122,6 +122,7 @@ class Health:
             'timing': timing,
             'energy_J': snapshot.energy,
             'estimated_tip_error_m': f'{error:.2g}',
+            'estimated_deflection_error_m': f'{self._simulator.estimated_deflection_error:.2g}',
             'log': self._log.path or 'off',
             **counters}.items()]
         message = DiagnosticArray(status=[status])

@@ -182,6 +182,7 @@ class SimNode(ParameterNode):
         self._log.close({
             'timing': timing,
             'estimated_tip_error_m': f'{error:.3g}',
+            'estimated_deflection_error_m': f'{self._simulator.estimated_deflection_error:.3g}',
             **{name: str(count) for name, count in self._health.counters().items()}})
         if self._log.path:
             report += f'; log: {self._log.path}'

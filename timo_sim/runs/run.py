@@ -58,8 +58,9 @@ class Run(MotionFields, PointsOfArm):
     warning : str or None
         Why the run should not be trusted, and what to do.
     stats : dict
-        Steps, wall time, and `estimated_tip_error_m`, the largest distance of the tip from that of
-        a finer run [m], see `simulation.finer`; NaN if it was not measured.
+        Steps, wall time, and `estimated_tip_error_m` and `estimated_deflection_error_m`, the
+        largest distances of the tip from that of a finer run, in the world and seen from the shaft
+        [m], see `simulation.finer`; NaN if they were not measured.
     recording : Recording or None
         The log that the run was read from, with all its topics, commands included.
     payloads : tuple of (int, float, float)
@@ -98,6 +99,8 @@ class Run(MotionFields, PointsOfArm):
         error = self.stats.get('estimated_tip_error_m', math.nan)
         if not math.isnan(error):
             found += f', the tip {error:.1g} m at most from that of a finer run'
+            if (bend := self.stats.get('estimated_deflection_error_m', 0.0)) > 2.0 * error:
+                found += f', its deflection {bend:.1g} m'
         if self.scene.fastest < math.inf:
             found += (', axial vibrations slowed down to '
                       f'{self.scene.fastest / (2.0 * math.pi):.3g} Hz, since steps do not '
@@ -310,7 +313,8 @@ def run_scene(scene: Scene, steps: int, sample_every: int = 1,
     def run_until(step):
         samples = slice(step // sample_every + 1)
         stats = {'steps': simulator.steps, 'wall_time_s': time.monotonic() - begun,
-                 'estimated_tip_error_m': math.nan, 'impact_loss_J': simulator.tip_load.lost}
+                 'estimated_tip_error_m': math.nan, 'estimated_deflection_error_m': math.nan,
+                 'impact_loss_J': simulator.tip_load.lost}
         return Run(scene, scene.build(), np.arange(samples.stop) * sample_every * scene.step,
                    motion[samples], heat[samples], simulator.warning, stats,
                    payloads=scene.payloads)

@@ -16,7 +16,7 @@ from timo_sim.runs.run import Run, run_scene
 from timo_sim.scene.parameters import (
     checked, FLAG, FUNCTION, Parameter, ParameterError, PARAMETERS, steps_in, warn)
 from timo_sim.scene.scene import load_scene, needed_static, Scene, scene_from, SceneLike
-from timo_sim.simulation.finer import choose_parts, refine, tip_distance
+from timo_sim.simulation.finer import choose_parts, refine, tip_distances
 from timo_sim.simulation.warnings import (
     DivergenceError, inaccurate, more_axial, MOST_APART, NO_FINER_RUN, unseen_load)
 
@@ -39,7 +39,8 @@ def measure_error(run: Run, find_remedy: bool = True) -> Run:
     Return a run of `run_scene` with its measured error, and the warning that this calls for.
 
     If a finer run diverges or is far off, others with shorter steps are tried.
-    `estimated_tip_error_m` is in its `stats` unless the scene has no finer run or all diverge.
+    `estimated_tip_error_m` and `estimated_deflection_error_m` are in its `stats` unless the scene
+    has no finer run or all diverge.
     With `find_remedy` the warning of a large error names what moves the tip most, by up to three
     more runs, otherwise all remedies.
     """
@@ -54,21 +55,22 @@ def measure_error(run: Run, find_remedy: bool = True) -> Run:
     fine = next((each for each in finer if each is not None), None)
     if fine is None:
         return replace(run, warning=run.warning or NO_FINER_RUN)
-    error, limit = _distance(seen, fine), MOST_APART * scene.manipulator.arm.length
-    while error > limit and (shorter := next(finer, None)):
+    errors, limit = _distances(seen, fine), MOST_APART * scene.manipulator.arm.length
+    while errors[0] > limit and (shorter := next(finer, None)):
         # If shorter steps of the finer run mend most of the distance, it was not that of the run.
-        distance = _distance(seen, shorter)
-        if distance > 0.5 * error:
+        distances = _distances(seen, shorter)
+        if distances[0] > 0.5 * errors[0]:
             break
-        fine, error = shorter, distance
+        fine, errors = shorter, distances
     # The finer run has seen a load that is too fast for the steps of the run. What `newton` leaves
     # out may make a motion unstable that both runs do not leave.
     earlier = (unseen_load(fine.scene) if scene.values['model.formulation'] == 'exact'
                else run.warning)
-    remedy = (_remedy(seen, round(scene.step / fine.scene.step), error)
-              if find_remedy and error > limit else None)
-    return replace(run, stats={**run.stats, 'estimated_tip_error_m': error},
-                   warning=earlier or inaccurate(scene, error, remedy))
+    remedy = (_remedy(seen, round(scene.step / fine.scene.step), errors)
+              if find_remedy and max(errors) > limit else None)
+    return replace(run, stats={**run.stats, 'estimated_tip_error_m': errors[0],
+                               'estimated_deflection_error_m': errors[1]},
+                   warning=earlier or inaccurate(scene, *errors, remedy))
 
 
 def _run_alike(scene, run):
@@ -80,13 +82,13 @@ def _run_alike(scene, run):
         return None
 
 
-def _distance(run, other, in_arm=False):
-    return tip_distance(run.model, run.values, other.model, other.values, in_arm)
+def _distances(run, other):
+    return tip_distances(run.model, run.values, other.model, other.values)
 
 
-def _remedy(run, parts, error):
+def _remedy(run, parts, errors):
     """
-    Return a change of the scene that mends most of its error.
+    Return a change of the scene that mends most of its error, or of that of its deflection.
 
     Of steps, modes and equations, it is the first one that moves the tip by half of the error,
     else the one that moves it most. Axial modes move it, too, if the steps do not resolve them:
@@ -102,11 +104,11 @@ def _remedy(run, parts, error):
         changes[more_axial(run.scene)] = 1, 0, 1, True
     elif not exact:
         changes['model.formulation exact'] = 1, 0, 0, False
-    moved = {}
+    moved, place = {}, errors[0] <= MOST_APART * run.scene.manipulator.arm.length
     for text, change in changes.items():
         other = _run_alike(refine(run.scene, *change), run)
-        moved[text] = 0.0 if other is None else _distance(run, other)
-        if moved[text] > 0.5 * error:
+        moved[text] = 0.0 if other is None else _distances(run, other)[place]
+        if moved[text] > 0.5 * errors[place]:
             return text
     return max(moved, key=lambda text: moved[text])
 
@@ -182,11 +184,11 @@ def choose_resolution(scene: SceneLike, duration: float = 0.0,
             if fine is None:
                 steps.pop(0)
                 continue
-            if tip_distance(fine.model, fine.values, fine.model, fine.values[:1],
-                            in_arm=True) < _STILL * scene.manipulator.arm.length:
+            moved = tip_distances(fine.model, fine.values, fine.model, fine.values[:1])
+            if max(moved) < _STILL * scene.manipulator.arm.length:
                 raise ParameterError(f'{stated} needs a scene that moves by its own loads or '
                                      'initial motion')
-            difference = _distance(run, fine, in_arm=True)
+            difference = max(_distances(run, fine))
             # Modes may converge as slowly as 1/N^2; the finer run has a part of the error.
             estimate = difference / (1.0 - (modes / fine.scene.values['model.modes'])**2)
             if MARGIN * estimate <= goal:
@@ -195,7 +197,7 @@ def choose_resolution(scene: SceneLike, duration: float = 0.0,
                                   looked_at * goal / estimate if estimate else np.inf,
                                   _stretch_warning(fine, goal))
             halves = _run_alike(refine(run.scene, 2, 0, 0, same_equations=True), run)
-            by_steps = halves is None or 2.0 * _distance(run, halves, in_arm=True) > difference
+            by_steps = halves is None or 2.0 * max(_distances(run, halves)) > difference
             best = min(best, (estimate, f'N = {modes} and h = {1e3 * steps[0]:g} ms: the '
                                         f'{"steps" if by_steps else "modes"} limit it'))
             if not by_steps:
@@ -227,7 +229,7 @@ def _stretch_warning(run, goal):
         return None
     # An arm that stretches may need shorter steps than one that does not.
     stretched = (_run_alike(refine(run.scene, parts, 0, 1, True), run) for parts in (1, 4))
-    off = next((_distance(run, each, in_arm=True) for each in stretched if each is not None), 0.0)
+    off = next((max(_distances(run, each)) for each in stretched if each is not None), 0.0)
     if off <= goal:
         return None
     return (f'the tip is {off:.1e} m from that of an arm that stretches by t = {run.t[-1]:g} s, '

@@ -127,16 +127,16 @@ def _axial_phase(scene, step):
     return step * axial_modes(scene.manipulator, count, scene.constraints).omega[0]
 
 
-def tip_distance(model: Formulation, motions: np.ndarray, other: Formulation, others: np.ndarray,
-                 in_arm: bool = False) -> float:
+def tip_distances(model: Formulation, motions: np.ndarray, other: Formulation,
+                  others: np.ndarray) -> tuple[float, float]:
     """
-    Return the largest distance between the tips of two models in the world [m].
+    Return the largest distances between the tips of two models in world and arm frame [m].
 
-    Their motions have shapes (n, 2 (3 + N)) and (n, 2 (3 + M)) and are at the same times. With
-    `in_arm`, places in the arm frame are compared, too.
+    Their motions have shapes (n, 2 (3 + N)) and (n, 2 (3 + M)) and are at the same times. The
+    second distance is that of the deflections: the shaft's error is in it, too.
     """
     tips = model.tips(motions)[:, :2].T, other.tips(others)[:, :2].T
     places = [np.array(each[:, :2].T + rotate(each[:, 2], *tip))
               for each, tip in zip((motions, others), tips)]
-    found = [places, tips] if in_arm else [places]
-    return max(float(np.hypot(*(a - b)).max(initial=0.0)) for a, b in found)
+    world, arm = (float(np.hypot(*(a - b)).max(initial=0.0)) for a, b in (places, tips))
+    return world, arm

@@ -28,7 +28,7 @@ from timo_sim.scene.scene import load_scene, scene_from, SceneLike
 from timo_sim.simulation import warnings
 from timo_sim.simulation.derivatives import (
     StepDerivatives, unit_loads, why_not_differentiable)
-from timo_sim.simulation.finer import choose_parts, refine, tip_distance
+from timo_sim.simulation.finer import choose_parts, refine, tip_distances
 from timo_sim.simulation.loads import (
     Actuators, commanded_load, LoadTable, tip_of, TipLoad, whole_load)
 from timo_sim.simulation.snapshot import Sensors, Snapshot
@@ -211,7 +211,7 @@ class Simulator(Stateful, PointsOfArm):
             self._table = LoadTable(self.scene, Actuators(self.scene.values))
             self._load = self.scene.load_at_start()
             self.warning = warnings.unseen_load(self.scene)
-            self._error, self._behind = 0.0 if self._estimate else math.nan, []
+            self._errors, self._behind = 2 * (0.0 if self._estimate else math.nan,), []
             if self._finer:
                 self._finer.reset()
             elif self._estimate:
@@ -461,7 +461,14 @@ class Simulator(Stateful, PointsOfArm):
         """Estimated error of the tip so far [m]; NaN without `estimate`, or if it is not known."""
         with self._lock:
             self.measure_error()
-            return self._error
+            return self._errors[0]
+
+    @property
+    def estimated_deflection_error(self) -> float:
+        """The same of its deflection [m], which has the error of the shaft's angle, too."""
+        with self._lock:
+            self.measure_error()
+            return self._errors[1]
 
     @checked(steps=WHOLE)
     def measure_error(self, steps: int = 0) -> bool:
@@ -489,14 +496,15 @@ class Simulator(Stateful, PointsOfArm):
                                     parts * alike[0].every)[0][1:]
                       for alike in (list(group) for _, group in groupby(calls, _Call.kind))]
         except DivergenceError:
-            self._finer, self._error = None, math.nan
+            self._finer, self._errors = None, (math.nan, math.nan)
             self.warning = self.warning or warnings.NO_FINER_RUN
             return
         self._compare(np.vstack([call.motions for call in calls]), finer, np.vstack(others))
 
     def _compare(self, motions, finer, others):
-        self._error = max(self._error, tip_distance(self.model, motions, finer.model, others))
-        self.warning = self.warning or warnings.inaccurate(self.scene, self._error)
+        self._errors = tuple(map(max, self._errors, tip_distances(self.model, motions, finer.model,
+                                                                  others)))
+        self.warning = self.warning or warnings.inaccurate(self.scene, *self._errors)
 
     def _rest(self, count, samples):
         if samples.every:

@@ -68,14 +68,16 @@ def after_steps(scene: Scene, model: Any, share: float, time: float,
             'model.formulation exact')
 
 
-def inaccurate(scene: Scene, error: float, remedy: str | None = None) -> str | None:
+def inaccurate(scene: Scene, error: float, deflection: float,
+               remedy: str | None = None) -> str | None:
     """
     Return the warning of a run whose tip is far from that of a finer run, or None.
 
-    `error` is their distance [m], `remedy` what moves the tip most, '' if it is an axial mode that
-    no scene can have; by default all are named.
+    `error` and `deflection` are their distances in world and arm frame [m], `remedy` what moves
+    the tip most, '' if it is an axial mode that no scene can have; by default all are named.
     """
-    if error <= MOST_APART * scene.manipulator.arm.length:
+    limit = MOST_APART * scene.manipulator.arm.length
+    if max(error, deflection) <= limit:
         return None
     if remedy is None:
         remedy = 'a smaller integrator.step, more model.modes'
@@ -83,7 +85,9 @@ def inaccurate(scene: Scene, error: float, remedy: str | None = None) -> str | N
             remedy += f' or {axial}'
         if scene.values['model.formulation'] != 'exact':
             remedy = f'model.formulation exact, {remedy}'
-    return f'the tip is {error:.1g} m from that of a finer run' + (
+    return (f'the tip is {error:.1g} m from that of a finer run' if error > limit else
+            f'the deflection of the tip is {deflection:.1g} m from that of a finer run, by the '
+            f'angle of the shaft, and its place {error:.1g} m') + (
         f': take {remedy}' if remedy else ', by what the most model.axial_modes leave out')
 
 
