@@ -502,8 +502,8 @@ class Simulator(Stateful, PointsOfArm):
         self._compare(np.vstack([call.motions for call in calls]), finer, np.vstack(others))
 
     def _compare(self, motions, finer, others):
-        self._errors = tuple(map(max, self._errors, tip_distances(self.model, motions, finer.model,
-                                                                  others)))
+        place, bend = tip_distances(self.model, motions, finer.model, others)
+        self._errors = max(self._errors[0], place), max(self._errors[1], bend)
         self.warning = self.warning or warnings.inaccurate(self.scene, *self._errors)
 
     def _rest(self, count, samples):
