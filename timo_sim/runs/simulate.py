@@ -70,7 +70,7 @@ def measure_error(run: Run, find_remedy: bool = True) -> Run:
               if find_remedy and max(errors) > limit else None)
     return replace(run, stats={**run.stats, 'estimated_tip_error_m': errors[0],
                                'estimated_deflection_error_m': errors[1]},
-                   warning=earlier or inaccurate(scene, *errors, remedy=remedy))
+                   warning=earlier or inaccurate(scene, errors[0], errors[1], remedy))
 
 
 def _run_alike(scene, run):
