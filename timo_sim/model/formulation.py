@@ -63,8 +63,9 @@ class Formulation(ABC):
         The same arm with another end effector, whose modes are assumed; by default its own.
     push : float
         Distance from the root to where the loads PUSH_X and PUSH_Y act [m]; 0: they do not.
-    fastest : float
-        Frequency to which faster axial modes are slowed down [rad/s], theory (T67).
+    fastest : (float, float)
+        Frequencies to which faster static shapes and axial modes are slowed down [rad/s], theory
+        (T67).
 
     Attributes
     ----------
@@ -94,7 +95,8 @@ class Formulation(ABC):
                  constraints: Constraints = Constraints(), nodes: int | None = None,
                  static: tuple[str, ...] = (), axial: int = 0,
                  gravity: Sequence[float] = (0.0, 0.0), basis: Manipulator | None = None,
-                 push: float = 0.0, fastest: float = math.inf) -> None:
+                 push: float = 0.0,
+                 fastest: tuple[float, float] = (math.inf, math.inf)) -> None:
         self.manipulator, self.constraints = manipulator, constraints
         self.gravity = np.array(gravity, dtype=float)
         basis = basis or manipulator
@@ -107,10 +109,11 @@ class Formulation(ABC):
         self.own_modes = basis == manipulator
         if axial:
             self.modes = JoinedModes(self.modes, axial_modes(basis, axial, constraints))
-        # Axial modes are the last; of others none is slowed down.
+        # Static shapes follow the modes in bending, axial modes are the last; others stay as fast.
         self.slower = np.ones(len(self.modes))
-        if axial:
-            self.slower[-axial:] = np.maximum(1.0, self.modes.omega[-axial:] / fastest)
+        for part, limit in zip((slice(count, count + len(static)), slice(
+                len(self.modes) - axial, None)), fastest):
+            self.slower[part] = np.maximum(1.0, self.modes.omega[part] / limit)
         arm = len(self.modes) - bool(self.gear)
         self.damping = np.broadcast_to(np.asarray(damping, dtype=float), (arm,))
         self.size = 2 * (3 + len(self.modes))

@@ -459,7 +459,7 @@ class StaticModes(JoinedModes):
 
     A residual is a static shape less its share in the eigenmodes. It is orthogonal to them in mass
     and stiffness, and therefore a further mode with the frequency of Rayleigh's quotient (T9).
-    `loads` are of 'force', 'torque' and 'weight'.
+    `loads` are of 'force', 'torque', 'weight', and 'shear', a constant shear force without moment.
     """
 
     def __init__(self, manipulator: Manipulator, modes: Modes, loads: Sequence[str]) -> None:
@@ -527,6 +527,7 @@ def _outboard(manipulator, rule):
     weight = mass.sum() - inner @ (mass[:-1] / rule.weights)
     return {'force': (distance, np.ones_like(distance)),
             'torque': (np.ones_like(distance), np.zeros_like(distance)),
+            'shear': (np.zeros_like(distance), np.ones_like(distance)),
             'weight': ((rule.integrate_to(rule.points[-1:]) - inner) @ weight, weight)}
 
 

@@ -91,8 +91,8 @@ def _remedy(run, parts, errors):
     Return a change of the scene that mends most of its error, or of that of its deflection.
 
     Of steps, modes and equations, it is the first one that moves the tip by half of the error,
-    else the one that moves it most. Axial modes move it, too, if the steps do not resolve them:
-    they are last.
+    else the one that moves it most; it is '' if none moves it by a tenth. Axial modes move it,
+    too, if the steps do not resolve them: they are last.
     """
     changes = {'a smaller integrator.step': (parts, 0, 0, True),
                'more model.modes': (1, None, 0, True)}
@@ -110,7 +110,8 @@ def _remedy(run, parts, errors):
         moved[text] = 0.0 if other is None else _distances(run, other)[place]
         if moved[text] > 0.5 * errors[place]:
             return text
-    return max(moved, key=lambda text: moved[text])
+    most = max(moved, key=lambda text: moved[text])
+    return most if moved[most] > 0.1 * errors[place] else ''
 
 
 class Resolution(NamedTuple):

@@ -20,7 +20,7 @@ import numpy as np
 
 from timo_sim.model import formulation_class
 from timo_sim.model.bodies import (
-    Beam, Constraints, Gear, Manipulator, SAME_PROFILE, Section, thinned)
+    Beam, Constraints, Gear, Manipulator, Quadrature, SAME_PROFILE, Section, thinned)
 from timo_sim.model.formulation import Formulation
 from timo_sim.model.layout import AFTER, ANGLE, INPUTS, SPEED, START
 from timo_sim.model.modes import axial_modes, compliance, modes_of
@@ -135,7 +135,7 @@ class Scene:
             values['model.formulation'], body, values['model.modes'],
             tuple(np.ravel(damping).tolist()), self.constraints, self.static,
             values['model.axial_modes'], tuple(values['gravity']), basis or body,
-            values['push.position'], self.fastest)
+            values['push.position'], (self.fastest_shape, self.fastest))
 
     @cached_property
     def _own_model(self):
@@ -155,6 +155,16 @@ class Scene:
         return RESOLVED / self.step if self.step * omega[-1] > AXIAL_PHASE else math.inf
 
     @cached_property
+    def fastest_shape(self) -> float:
+        """The same of static shapes if the arm is soft in shear, so that these have no mass."""
+        if not self.static or not self.step or not _soft_in_shear(self.manipulator.arm):
+            return math.inf
+        limit, goal = (_SHEAR_PHASE, _SHEAR_PHASE) if 'shear' in self.static else (
+            AXIAL_PHASE, RESOLVED)
+        omega = modes_of(self.manipulator, self.values['model.modes'], self.static).omega
+        return goal / self.step if self.step * omega[-1] > limit else math.inf
+
+    @cached_property
     def _damping(self):
         # Ratios of the modes of the clamped arm.
         values, damping = self.values, np.array(self.values['arm.damping_ratio'] or 0.0)
@@ -165,8 +175,9 @@ class Scene:
                 damping = np.insert(np.broadcast_to(damping, (arm,)), count, shapes * [
                     np.ravel(damping)[min(count, damping.size) - 1]])
             # A shape that the step does not resolve follows its load, without resonance.
-            omega = modes_of(self.manipulator, count, self.static).omega[count:]
-            damping[count:count + shapes] += _STATIC_DAMPING * (omega * self.step > _STATIC_PHASE)
+            phase = self.step * modes_of(self.manipulator, count, self.static).omega[count:]
+            damping[count:count + shapes] += _STATIC_DAMPING * (
+                phase > (_SHEAR_PHASE if 'shear' in self.static else _STATIC_PHASE))
         if values['arm.damping_of'] == 'clamped' or not damping.any():
             return damping
         from timo_sim.model.formulation import clamped_ratios
@@ -449,9 +460,13 @@ _STATIC = {'none': (), 'force': ('force',), 'torque': ('torque',), 'both': ('for
            'weight': ('weight',)}
 # A static shape is damped by so much more if its phase in a step is above [rad].
 _STATIC_PHASE, _STATIC_DAMPING = 1.0, 1.0
+# The same, and the phase to which it is slowed, if one is of shear: it resonates with stretch.
+_SHEAR_PHASE = 0.2
 # Of the tip's static deflection and rotation, what the modes of a finer run may leave out before a
 # scene needs shapes, and before the finer run does: more than those of a tip as heavy as its arm.
 _LEFT_OUT, _LEFT_OUT_BY_FINER = (1e-4, 1e-2), (3e-6, 3e-6)
+# Share of shear in the deflection by a force above which axial forces, which turn it, matter.
+_SOFT_IN_SHEAR = 0.03
 _BENDING = 0, 2  # deflection and rotation of the tip among rows of `compliance`
 MORE_MODES = 2  # of a finer run
 
@@ -462,10 +477,22 @@ def needed_static(scene: Scene, finer: int = 0) -> tuple[str, ...]:
 
     Of the responses to others, two more modes miss at most 1e-4 of the tip's deflection and 1e-2
     of its rotation, so that a finer run sees what the modes miss. Whether the scene has such loads
-    does not count: a command may be one. A `finer` run, of so many modes, leaves out at most 3e-6.
+    does not count: a command may be one. A `finer` run, of so many modes, leaves out at most 3e-6;
+    if the arm is soft in shear, it has a shape of shear alone besides, which no mode has.
     """
-    return (_needed_static(scene.manipulator, finer, _LEFT_OUT_BY_FINER, (0,)) if finer else
-            _needed_static(scene.manipulator, scene.values['model.modes']))
+    body, rest = scene.manipulator, _LEFT_OUT_BY_FINER
+    if not finer:
+        return _needed_static(body, scene.values['model.modes'])
+    return _needed_static(body, finer, rest, (0,)) + _soft_in_shear(body.arm) * ('shear',)
+
+
+@lru_cache(maxsize=64)
+def _soft_in_shear(arm):
+    rule = Quadrature(arm.breaks, 40)
+    section = arm.at(rule.nodes)
+    bent = rule.weights @ ((arm.length - rule.nodes)**2 / section.bending_stiffness)
+    sheared = np.sum(rule.weights / section.shear_stiffness)
+    return bool(sheared > _SOFT_IN_SHEAR * (bent + sheared))
 
 
 @lru_cache(maxsize=64)

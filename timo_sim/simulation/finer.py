@@ -15,6 +15,7 @@ frequency Omega its stretch is wrong by 2 Omega / omega of itself, a few per cen
 
 from dataclasses import replace
 from functools import partial
+import math
 from typing import Any
 
 import numpy as np
@@ -114,10 +115,12 @@ def choose_parts(scene: Scene) -> tuple[int, ...]:
 
 
 def _resolves(scene, step):
-    # Whether steps see the loads, and axial vibrations if the arm stretches or picks up loads.
+    # Whether steps see the loads and what static shapes answer, and axial vibrations if the arm
+    # stretches or picks up loads.
     axial = scene.values['model.axial_modes'] or (
         scene.payloads and scene.values['model.modes'] and scene.manipulator.arm.stretches)
-    return unseen_load(replace(scene, step=step)) is None and not (
+    finer = replace(scene, step=step)
+    return unseen_load(finer) is None and finer.fastest_shape == math.inf and not (
         axial and _axial_phase(scene, step) > AXIAL_PHASE)
 
 

@@ -74,7 +74,7 @@ def inaccurate(scene: Scene, error: float, deflection: float,
     Return the warning of a run whose tip is far from that of a finer run, or None.
 
     `error` and `deflection` are their distances in world and arm frame [m], `remedy` what moves
-    the tip most, '' if it is an axial mode that no scene can have; by default all are named.
+    the tip most, '' if no change of the scene does; by default all are named.
     """
     limit = MOST_APART * scene.manipulator.arm.length
     if max(error, deflection) <= limit:
@@ -88,7 +88,8 @@ def inaccurate(scene: Scene, error: float, deflection: float,
     return (f'the tip is {error:.1g} m from that of a finer run' if error > limit else
             f'the deflection of the tip is {deflection:.1g} m from that of a finer run, by the '
             f'angle of the shaft, and its place {error:.1g} m') + (
-        f': take {remedy}' if remedy else ', by what the most model.axial_modes leave out')
+        f': take {remedy}' if remedy else ', and no change of step, modes or equations alone '
+        'mends that')
 
 
 def more_axial(scene: Scene) -> str:
