@@ -274,10 +274,10 @@ def test_a_build_sees_what_pip_has_installed_for_it(tmp_path):
                    cwd=ROOT, check=True, capture_output=True,
                    env={**os.environ, 'PYTHONPATH': sysconfig.get_path('purelib')})
     assert any(tmp_path.glob('timo_sim/compiled/prebuilt/*.bc'))
-    # The first run of a usual size compiles nothing, nor does the finer one: no store is made.
-    for modes, store in (8, False), (9, True):
+    # The first run of a usual scene compiles nothing, nor does the finer one: no store is made.
+    for scene, modes, store in ('paper', 5, False), ('arm', 3, False), ('paper', 6, True):
         subprocess.run(
-            [sys.executable, '-m', 'timo_sim', 'simulate', ROOT / 'config/paper.yaml', '--set',
+            [sys.executable, '-m', 'timo_sim', 'simulate', ROOT / f'config/{scene}.yaml', '--set',
              f'model.modes={modes}', '--duration', '0.1', '-o', 'run.mcap'],
             cwd=tmp_path, check=True, capture_output=True, env={
                 **os.environ, 'PYTHONPATH': str(tmp_path),

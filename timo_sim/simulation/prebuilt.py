@@ -8,6 +8,8 @@ An installation that has the intermediate code of all entry points needs numba f
 alone makes machine code for a size. The machine code of usual sizes is made here, too, for the
 processor of the build; its files have names that tell the processor, so that no other loads them.
 An editable installation, whose sources will change, has the code of the default scene alone.
+Equations other than `exact` have the code of single runs without dry friction; numba makes the
+rest when somebody needs it.
 """
 
 from collections.abc import Iterator
@@ -28,9 +30,12 @@ from timo_sim.scene.scene import load_scene
 from timo_sim.simulation.simulator import Simulator
 from timo_sim.steps import derivatives, etdrk4, friction, instance, lanes, loads
 
-# A carrier and a shaft that move freely, as in the paper; each with the size of its finer run.
-USUAL = [{'model.formulation': formulation, 'model.modes': modes}
-         for formulation in ('exact', 'newton') for modes in range(1, 9)]
+# A carrier and a shaft that move freely, as in the paper; and an arm on a hub, on a carrier that
+# is held, as in the scene of `timo_sim new`. Each has the size of its finer run, too.
+USUAL: list[dict[str, Any]] = [
+    *[{'model.modes': modes} for modes in range(1, 6)], {'model.formulation': 'newton'},
+    {'carrier.held': 'both', 'hub.radius': 0.03, 'end_effector.mass': 0.1,
+     'end_effector.inertia': 5.0e-5}]
 
 
 # Kinds of the constants of entry points, by the name of the argument.
@@ -51,8 +56,7 @@ def entries() -> Iterator[tuple[EntryPoint, tuple[type, ...]]]:
             names = [name for name, argument in entry.arguments.items()
                      if isinstance(argument, Constants)]
             for kinds in product(*(_KINDS[name] for name in names)):
-                if entry is not derivatives.differentiate or (  # of this formulation alone
-                        kinds[:2] == (exact_code.Tables, etdrk4.Propagator)):
+                if newton.Tables not in kinds or module in (functions, etdrk4):
                     yield entry, kinds
 
 
