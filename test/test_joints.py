@@ -6,9 +6,9 @@
 import numpy as np
 import pytest
 
+from oracles.energy import work
 import timo_sim
 from timo_sim.model.layout import ACCELERATION, AFTER, ANGLE, FORCE_X, LOADS, TORQUE, VOLTAGE
-from timo_sim.simulation.energy import work
 from timo_sim.simulation.simulator import Simulator
 
 TURN = {'motor.shaft': 'driven', 'motor.drive.time': [0.0, 1.0, 2.0],

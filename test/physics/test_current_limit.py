@@ -9,9 +9,9 @@ import numpy as np
 import pytest
 from scipy.integrate import solve_ivp
 
+from oracles.energy import work
 import timo_sim
 from timo_sim.model.layout import LOADS, TORQUE
-from timo_sim.simulation.energy import work
 
 HELD = {'carrier.held': 'both', 'initial.shaft': 0.0}
 RIGID = {**HELD, 'model.modes': 0}

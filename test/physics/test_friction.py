@@ -11,11 +11,11 @@ import pytest
 from scipy.integrate import solve_ivp
 from scipy.optimize import brentq
 
+from oracles.energy import balance
 import timo_sim
 from timo_sim.model.layout import FORCE_X, FORCE_Y, LOADS, TORQUE
 from timo_sim.simulation.simulator import Simulator
 from timo_sim.steps.bristles import HEAT
-from timo_sim.view.track import track_of_run
 
 # The paper's manipulator with a rigid arm: mass of all, static moment and inertia about the shaft.
 DENSITY, LENGTH, AREA, SECOND_MOMENT = 2710.0, 2.0, 4e-4, 0.02**4 / 12.0
@@ -241,7 +241,7 @@ def test_a_run_has_the_heat_of_its_samples():
     assert np.array_equal(coarse.friction_heat, fine.friction_heat[::8])
     assert fine.friction_heat[0] == 0.0 and fine.friction_heat[-1] > 0.1
     # The balance closes to the error of the steps, 5e-6 of 0.8 J.
-    assert np.abs(track_of_run(fine).trace('balance').values).max() < 1.5e-5
+    assert np.abs(balance(fine)).max() < 1.5e-5
 
 
 def test_the_acceleration_of_the_tip_includes_friction():

@@ -9,12 +9,12 @@ import numpy as np
 import pytest
 
 from oracles import spectral_elements
+from oracles.energy import work
 import timo_sim
 from timo_sim.log.tables import Recording
 from timo_sim.model.layout import rotate
 from timo_sim.runs.replay import replay
 from timo_sim.runs.run import run_scene
-from timo_sim.simulation.energy import work
 from timo_sim.simulation.loads import pieces
 from timo_sim.simulation.simulator import Simulator
 

@@ -10,10 +10,10 @@ import numpy as np
 import pytest
 from scipy.integrate import solve_ivp
 
+from oracles.energy import balance
 import timo_sim
 from timo_sim.model.layout import FORCE_X, FORCE_Y, LOADS, SHAFT_FRICTION, TORQUE
 from timo_sim.simulation.simulator import Simulator
-from timo_sim.view.track import track_of_run
 
 LIMIT, REACH = 2.0, 0.01
 SHAFT = {'motor.coulomb_friction': LIMIT, 'motor.coulomb_presliding': REACH}
@@ -243,9 +243,9 @@ def test_energy_and_what_friction_takes_are_the_work_of_the_loads(more):
     assert np.all(errors < 0.7 * np.square(steps))
 
 
-def test_a_view_closes_the_balance():
+def test_the_balance_of_energy_closes():
     run = timo_sim.simulate(timo_sim.load_scene({}, {**LIVELY, **SHAKEN}), 2.0, estimate=False)
-    assert np.abs(track_of_run(run).trace('balance').values).max() < 1e-5
+    assert np.abs(balance(run)).max() < 1e-5
 
 
 @pytest.mark.parametrize('more', [

@@ -1,14 +1,11 @@
 # Copyright 2026 The timo_sim authors
 # SPDX-License-Identifier: Apache-2.0
 
-"""A person at a running node: its views in rerun and RViz, and keys of `timo_sim teleop`."""
+"""A person at a running node: what RViz sees, and keys of `timo_sim teleop`."""
 
 import os
-from pathlib import Path
 import pty
-import re
 import signal
-import socket
 import subprocess
 import sys
 import termios
@@ -17,68 +14,10 @@ import numpy as np
 import pytest
 from ros_process import PATIENCE
 from sensor_msgs.msg import JointState
-import yaml
 
 import timo_sim
 from timo_sim.simulation.simulator import Simulator
 from timo_sim.topics.outputs import TRANSFORMS
-
-
-def free_port():
-    with socket.socket() as sock:
-        sock.bind(('127.0.0.1', 0))
-        return sock.getsockname()[1]
-
-
-@pytest.fixture
-def listener(tmp_path):
-    """Return address, file and process of a rerun server that saves what it receives."""
-    import rerun_cli
-    port, path = free_port(), tmp_path / 'live.rrd'
-    process = subprocess.Popen(
-        [Path(rerun_cli.__file__).with_name('rerun'), '--bind', '127.0.0.1', '--port', str(port),
-         '--save', path], stdout=subprocess.DEVNULL, stderr=subprocess.DEVNULL)
-    yield f'rerun+http://127.0.0.1:{port}/proxy', path, process
-    process.kill()
-    process.wait()
-
-
-@pytest.mark.filterwarnings('ignore:RRD file has no footer')  # rerun is ended, not closed
-def test_a_running_node_is_streamed(start, client, listener, paper):
-    from rerun.chunk import RrdReader
-    url, path, process = listener
-    (path.parent / 'yaml.py').write_text('raise SystemExit("foreign code of the node\'s folder")')
-    node = start('--params-file', str(paper), record=False, rerun_live=url)
-    client.wait(lambda: path.exists() and path.stat().st_size > 80000, 'what is streamed')
-    code, output = node.end()
-    assert code == 0, output
-    process.terminate()
-    process.wait()
-    tips = {}
-    for chunk in RrdReader(path).stream():
-        if chunk.entity_path == '/plane/timo_sim/end_effector' and not chunk.is_static:
-            batch = chunk.to_record_batch()
-            ns = batch.column('sim_time').cast('int64').to_pylist()
-            tips.update(zip(ns, batch.column(batch.num_columns - 1).to_pylist()))
-    steps = np.rint(1e-6 * np.array(list(tips))).astype(int)
-    # 30 samples per second of wall time, in which 1000 steps are done, fewer on a busy machine.
-    assert 10 < len(steps) < 0.5 * max(steps)
-    run = timo_sim.simulate(timo_sim.load_scene(paper), 1e-3 * max(steps))
-    true = run.position(2.0)[steps]
-    assert np.allclose(np.squeeze(list(tips.values())), true, atol=1e-6)
-
-
-def test_neither_a_missing_viewer_nor_a_long_table_stops_the_node(start, tmp_path):
-    # 6000 points are more than the 128 kB that one argument of a process can hold.
-    table = {'time': [1e-3 * k for k in range(6000)], 'value': [1.0 / 3.0] * 6000}
-    assert len(str(table)) > 131072
-    (tmp_path / 'long.yaml').write_text(yaml.safe_dump({'timo_sim': {'ros__parameters': {
-        'load': {'torque': {'table': table}}}}}))
-    code, output = start('--params-file', 'long.yaml', record=False, duration=1.0,
-                         rerun_live=f'rerun+http://127.0.0.1:{free_port()}/proxy').wait()
-    assert code == 0 and 'simulated 1 s' in output
-    assert re.search(r'\[WARN\].*no viewer listens at \S+:\d+/proxy yet: ', output)
-    assert 'Error' not in output
 
 
 def turn(half_sine, half_cosine):

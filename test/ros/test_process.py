@@ -40,8 +40,6 @@ REFUSED = [
         ('use_sim_time:=1', "'use_sim_time' to '1' of type 'INTEGER', expecting type 'BOOL'"),
         ('arm.length:=1.0e+300', 'too large or too small together'),
         ('frame.arm:=a\udcff', "'utf-8' codec can't"),
-        ('rerun_live:=127.0.0.1',
-         "rerun_live must be the address of a viewer of rerun, got '127.0.0.1'"),
         (f'{QOS}:=5', f'{QOS} = 5 is for no publisher or subscription whose QoS can be set; '
          'did you mean /timo_sim/tip_pose?'))
 ] + [

@@ -29,7 +29,6 @@ from ros_process import Process
 
 import timo_sim
 from timo_sim.cli import main
-from timo_sim.simulation.energy import work
 from timo_sim.view import plot, rerun
 from timo_sim.view.plot import animate
 from timo_sim.view.rerun import picture, write
@@ -307,61 +306,6 @@ def test_a_floor_is_under_the_carrier_where_there_is_gravity(run, shown, tmp_pat
 
     assert not {'/plane/one/floor', '/plane/one/gravity'} & {*static(shown[0])}
     assert track_of_run(run).floor is None and 'ravity' not in track_of_run(run).note
-
-
-def test_energy_balance_closes(run, paper):
-    def worst(run):
-        track = track_of_run(run)
-        return (np.abs(track.trace('balance').values).max()
-                / track.trace('energy').values.max())
-
-    # Simpson's rule at 500 Hz under loads of 4 Hz has a relative error of (0.05)^4 / 2880.
-    assert worst(run) < 1e-6
-    driven = timo_sim.load_scene('spin_up')
-    assert worst(timo_sim.simulate(driven, 10.0)) < 1e-6
-    # The torque acts on the rotor of an elastic gear, which turns ahead of the shaft.
-    geared = timo_sim.simulate(timo_sim.load_scene(paper, {
-        'motor.gear.stiffness': 500.0, 'motor.gear.damping': 1.0,
-        'motor.rotor.inertia': 0.5, 'motor.rotor.viscous_friction': 0.1}), 3.0, estimate=False)
-    assert worst(geared) < 1e-6
-    # Loads that jump at a sample, with a harmonic one, and one that makes the drive's torque jump.
-    for values in ({'load.force_x.table.time': [0.0, 0.5, 0.5, 1.5],
-                    'load.force_x.table.value': [0.0, 20.0, -10.0, 5.0],
-                    'load.torque.piecewise.time': [0.0, 0.5, 1.0, 1.005],
-                    'load.torque.piecewise.value': [5.0, -15.0, 10.0, -10.0],
-                    'load.torque.harmonic.amplitude': [5.0],
-                    'load.torque.harmonic.frequency': [2.0]},
-                   {**driven.values, 'load.force_x.piecewise.time': [0.0, 0.5],
-                    'load.force_x.piecewise.value': [5.0, -35.0]}):
-        for every in 1, 5:
-            jumping = timo_sim.simulate(values, 2.0, every, estimate=False)
-            assert worst(jumping) < 2e-6 * every**4
-    pushed = driven.vary({'load.torque.piecewise': {'time': [0.0], 'value': [1.0]}})
-    assert track_of_run(timo_sim.simulate(pushed, 0.1)).trace('balance') is None
-    damped = timo_sim.load_scene(paper, {'arm.damping_ratio': [0.02]})
-    track = track_of_run(timo_sim.simulate(damped, 3.0))
-    assert np.all(np.diff(track.trace('balance').values[::10, 0]) < 1e-9)
-
-
-def test_a_balance_of_round_off_is_drawn_flat(run, shown):
-    path, _ = shown
-    energy, balance = (columns(path, f'/curves/{name}/one')[1] for name in ('energy', 'balance'))
-    reader = RrdReader(path)
-    batches = [chunk.to_record_batch() for chunk in reader.stream(store=reader.blueprints()[0])]
-    (low, high), = (batch.column('ScalarAxis:range')[0][0].as_py() for batch in batches
-                    if 'ScalarAxis:range' in batch.schema.names)
-    assert 0.0 < np.abs(balance).max() < 1e-6 * np.max(energy)
-    assert -low == high == pytest.approx(1e-3 * np.max(energy))
-
-
-def test_work_is_exact_for_a_constant_force_and_zero_at_a_reset():
-    t = np.array([0.0, 0.1, 0.25, 0.25, 0.4, 0.5])
-    x = np.column_stack([t**3, 2.0 * t])
-    speed = np.column_stack([3.0 * t**2, 2.0 + 0.0 * t])
-    done = work(np.rint(t * 1e9), x, speed, np.tile([2.0, 3.0], (6, 1)))
-    assert np.allclose(done, np.diff(2.0 * t**3 + 6.0 * t), rtol=1e-12, atol=0.0)
-    x[3:] += 7.0  # a jump at the same time
-    assert work(np.rint(t * 1e9), x, speed, np.tile([2.0, 3.0], (6, 1)))[2] == 0.0
 
 
 def test_two_runs_share_panels_and_have_their_difference(run, paper, tmp_path):

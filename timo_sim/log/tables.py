@@ -43,7 +43,8 @@ _RENAMED = {'~/tip_imu': '~/tip_imu/data_raw'}  # names of topics in 0.2.0
 # Parameters of 0.2.0 and their present names; None: they are gone, and their values do not matter.
 _PARAMETERS = {
     **{f'arm.{name}': f'arm.section.{name}' for name in ('width', 'height', 'shear_correction')},
-    'rate.arm_shape': None, 'publish_arm_shape': None, 'integrator.tolerance': None}
+    'rate.arm_shape': None, 'publish_arm_shape': None, 'integrator.tolerance': None,
+    'rerun_live': None}
 _TYPES = {**{output.name: output.type_name for output in outputs(1)},
           **{command.name: command.type_name for command in COMMANDS}}
 

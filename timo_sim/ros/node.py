@@ -85,12 +85,6 @@ class SimNode(ParameterNode):
                           self.get_logger(), end)
         self._health = Health(self, self._simulator, self._loop, self._commands, self._log,
                               values['publish_clock'])
-        self._live = None
-        if values['rerun_live']:
-            from timo_sim.view.feed import Feed
-            self._live = Feed(scene, values['rerun_live'], self.get_fully_qualified_name())
-            if self._live.warning:
-                self.get_logger().warning(self._live.warning)
         self._loop.configure(values, steps_each)
         self._description = Outlet(self, DESCRIPTION, TEXT, values['publish_tf'], latched=True)
         self._scene_topic = Outlet(self, '~/scene', TEXT, latched=True)
@@ -165,8 +159,6 @@ class SimNode(ParameterNode):
         now = time.monotonic()
         self._health.report(now)
         self._loop.poll()
-        if self._live:
-            self._live.send(now, self._simulator, lambda: self._loop.snapshot().effort)
         wait = self._loop.tick(now, self._stop)
         # The error is measured while nothing else is due.
         return 0.0 if wait > 0.0 and self._simulator.measure_error(STEPS_BEHIND) else wait
@@ -175,8 +167,6 @@ class SimNode(ParameterNode):
         wall_time = time.monotonic() - self._opened
         error = self._simulator.estimated_error
         self._health.pass_on_warning()
-        if self._live:
-            self._live.close()
         timing = self._loop.pace.report()
         report = f'simulated {self.steps * self._step:.6g} s in {wall_time:.3f} s; {timing}'
         self._log.close({

@@ -21,7 +21,6 @@ from timo_sim.model.formulation import Formulation, PointsOfArm
 from timo_sim.model.layout import LOADS, Motion, MotionFields, TORQUE
 from timo_sim.scene.parameters import checked, DEFAULTS, FLAG, PATH, warn
 from timo_sim.scene.scene import Scene
-from timo_sim.simulation.energy import integral
 from timo_sim.simulation.loads import pieces
 from timo_sim.simulation.simulator import Simulator
 from timo_sim.simulation.snapshot import add_bristles, applied, joints_of_run, Snapshot
@@ -137,7 +136,7 @@ class Run(MotionFields, PointsOfArm):
                 dense = error.run
             if np.array_equal(dense.values[::every], self.values):
                 return dense.dissipated()[::every]
-        taken, coarse = (np.append(0.0, np.cumsum(integral(1e9 * self.t[::k], power[::k])))
+        taken, coarse = (np.append(0.0, np.cumsum(_integral(self.t[::k], power[::k])))
                          for k in (1, 2))
         if np.diff(steps).max(initial=1.0) > 1.0 and (
                 np.abs(taken[::2] - coarse).max() > _MAX_DIFFERENCE * taken.max()):
@@ -336,3 +335,17 @@ def run_scene(scene: Scene, steps: int, sample_every: int = 1,
             raise
         report(count)
     return run_until(steps)
+
+
+def _integral(t, power):
+    """
+    Return the integral of a power, (n,) [W], from each sample to the next, (n - 1,) [J].
+
+    The trapezoidal rule is corrected by the slopes at both ends, which gives fourth order for
+    equally spaced samples, at the times `t`, (n,) [s].
+    """
+    duration = np.diff(t)
+    done = 0.5 * duration * (power[1:] + power[:-1])
+    if len(t) > 2 and duration.all():
+        done -= duration**2 / 12.0 * np.diff(np.gradient(power, t, edge_order=2))
+    return done

@@ -433,8 +433,6 @@ _ALL = [
               'as in the bag of a robot', choices=('sim', 'wall'), scope=NODE),
     Parameter('record_sensors', False, '', f'whether {", ".join(_SENSOR_TOPICS[:-1])} and '
               f'{_SENSOR_TOPICS[-1]} are logged also while nobody subscribes', scope=NODE),
-    Parameter('rerun_live', '', '', 'address of a running viewer of rerun to which the motion is '
-              'streamed, such as rerun+http://127.0.0.1:9876/proxy; empty: none', scope=NODE),
     Parameter('publish_tf', False, '', 'whether the frames of the bent arm are published on /tf, '
               'and the URDF on robot_description; needs tf2_msgs', scope=NODE),
 ]

@@ -1,12 +1,10 @@
 # Copyright 2026 The timo_sim authors
 # SPDX-License-Identifier: Apache-2.0
 
-"""Tracks in rerun: files and pictures, the viewer as a child process, the live stream."""
+"""Tracks in rerun: files and pictures, the viewer as a child process."""
 
-from collections import deque
 from collections.abc import Callable, Sequence
 from contextlib import closing
-import json
 import os
 from pathlib import Path
 import signal
@@ -14,7 +12,6 @@ import socket
 import subprocess
 import sys
 import tempfile
-import threading
 import time
 from typing import Any
 
@@ -26,8 +23,7 @@ from tqdm import tqdm
 
 from timo_sim.scene.files import whole_file
 from timo_sim.scene.parameters import Parameter, ParameterError
-from timo_sim.scene.scene import load_scene
-from timo_sim.view.track import body_of, FPS, Poses, Trace, Track, track_of_motion
+from timo_sim.view.track import FPS, Poses, Trace, Track
 
 _TIMELINE = 'sim_time'
 _PLANE, _CURVES, _ABOUT = 'plane', 'curves', 'about'
@@ -52,7 +48,6 @@ _TITLES = {
     'torque': 'torque on shaft [N m]',
     'modal': 'modes q [m sqrt(kg)]',
     'energy': 'energy [J]',
-    'balance': 'energy - work + losses [J]',
     'shaft_speed': 'shaft speed [rad/s]',
     'carrier_velocity': 'carrier velocity [m/s]',
     'tip_axial': 'tip deflection u, along [m]',
@@ -66,9 +61,6 @@ _AT = Parameter('--at', 0.0, 's', 'sim time of the picture')
 _LOOPBACK = '127.0.0.1'
 _LOADING = 300.0  # [s] until a viewer must have loaded a file: a longer wait is a hang
 _ENDING = 5.0     # [s] until a viewer must have ended
-_PERIOD = 1.0 / 30.0  # [s] of wall time between two sendings of a live run
-_MOST_WAITING = 300   # samples of a live run; older ones are dropped
-_FLUSHING = 1.0       # [s] to send the last samples of a live run
 
 
 class ViewerError(OSError):
@@ -108,11 +100,7 @@ def _send(stream, tracks, fps, at):
         for trace in (*track.traces, *(_differences(track, tracks[0]) if run else ())):
             entities.send_curves(trace)
             panels[trace.panel] = len(trace.names)
-    # The axis of the balance has a thousandth of the energy at least: round-off is a flat line.
-    span = max((1e-3 if trace.panel == 'energy' else 1.1) * np.abs(trace.values).max()
-               for track in tracks for trace in track.traces
-               if trace.panel in ('energy', 'balance'))
-    stream.send_blueprint(_blueprint(panels, bounds, len(tracks), span=span))
+    stream.send_blueprint(_blueprint(panels, bounds, len(tracks)))
     return bounds
 
 
@@ -259,20 +247,15 @@ def _time(ns):
     return rr.TimeColumn(_TIMELINE, duration=np.asarray(ns).astype('timedelta64[ns]'))
 
 
-def _blueprint(panels, bounds, runs=1, live=False, span=0.0):
+def _blueprint(panels, bounds, runs):
     """
     Return the layout of the plane with corners `bounds` and of panels.
 
     `panels` has the number of curves by key of _TITLES. With several runs only some panels have a
-    legend. Of a live run the last ten seconds are shown; `span` is half the balance's axis [J].
+    legend.
     """
-    ranges = rrb.VisibleTimeRange(
-        _TIMELINE, start=rrb.TimeRangeBoundary.cursor_relative(seconds=-10.0),
-        end=rrb.TimeRangeBoundary.cursor_relative()) if live else None
-
     views = [rrb.TimeSeriesView(
-        origin=f'{_CURVES}/{key}', name=title, time_ranges=ranges,
-        axis_y=rrb.ScalarAxis(range=(-span, span)) if key == 'balance' and span else None,
+        origin=f'{_CURVES}/{key}', name=title,
         plot_legend=rrb.PlotLegend(rrb.Corner2D.RightTop, visible=(
             key in _WITH_LEGEND if runs > 1 else panels[key] > 1)))
         for key, title in _TITLES.items() if key in panels]
@@ -288,8 +271,7 @@ def _blueprint(panels, bounds, runs=1, live=False, span=0.0):
             rrb.Vertical(plane, rrb.TextDocumentView(origin=_ABOUT, name='about'),
                          row_shares=[4, 1]),
             rrb.Tabs(*pages, active_tab=0), column_shares=[1, 1]),
-        rrb.TimePanel(timeline=_TIMELINE, expanded=False,
-                      play_state='following' if live else 'paused'),
+        rrb.TimePanel(timeline=_TIMELINE, expanded=False, play_state='paused'),
         rrb.BlueprintPanel(expanded=False), rrb.SelectionPanel(expanded=False))
 
 
@@ -431,54 +413,3 @@ def _until(condition, process):
             return found
         time.sleep(0.05)
     raise ViewerError(f'the viewer of rerun did not answer within {_LOADING:g} s')
-
-
-def _show_live(url, name, scene, waiting, ended):
-    """
-    Show a run of a Scene in the viewer at an address, until it has ended, a threading.Event.
-
-    `waiting` is a deque of samples to be sent: sim time [ns], motion and effort; it grows.
-    """
-    def track_of(samples):
-        return track_of_motion(name.strip('/').replace('/', '_'), scene,
-                               samples[:, 0].astype(np.int64), samples[:, 1:-3], samples[:, -3:])
-
-    stream = rr.RecordingStream('timo_sim')
-    stream.connect_grpc(url)
-    start, margin = scene.initial_motion(), 1.3 * body_of(scene).length
-    bounds = np.array([start[:2] - margin, start[:2] + margin])
-    _log_plane(stream, bounds)
-    stream.log(_ABOUT, rr.TextDocument(
-        f'**{name}**, live: 30 samples per second of wall time, also in the curves (a log has '
-        'all)', media_type='text/markdown'), static=True)
-    track = track_of(np.concatenate([[0.0], start, np.zeros(3)])[np.newaxis])
-    entities = Entities(stream, track, 0, 1, bounds)
-    stream.send_blueprint(_blueprint(
-        {trace.panel: len(trace.names) for trace in track.traces}, bounds, live=True))
-    while not ended.wait(_PERIOD) or waiting:
-        samples = [waiting.popleft() for _ in range(len(waiting))]
-        if samples:
-            track = track_of(np.array(samples))
-            entities.send_poses(track.ns, track.poses(slice(None)))
-            for trace in track.traces:
-                entities.send_curves(trace)
-    stream.flush(timeout_sec=_FLUSHING)
-
-
-def main(url: str, name: str) -> None:
-    """Stream what standard input has: a line with a scene's values, JSON, then samples."""
-    scene = load_scene(json.loads(sys.stdin.buffer.readline()))
-    waiting, ended = deque(maxlen=_MOST_WAITING), threading.Event()
-    worker = threading.Thread(
-        target=_show_live, args=(url, name, scene, waiting, ended), daemon=True)
-    worker.start()
-    size = 8 * (1 + scene.build().size + 3)
-    while len(data := sys.stdin.buffer.read(size)) == size:
-        waiting.append(np.frombuffer(data))
-    ended.set()
-    worker.join(_FLUSHING)
-    os._exit(0)  # at once: rerun would wait for a viewer that does not answer
-
-
-if __name__ == '__main__':
-    main(*sys.argv[1:])

@@ -5,17 +5,14 @@
 
 from __future__ import annotations
 
-from collections.abc import Callable, Sequence
+from collections.abc import Callable
 from dataclasses import dataclass
 from typing import Any, NamedTuple
 
 import numpy as np
 
-from timo_sim.model.layout import INPUTS
 from timo_sim.scene.parameters import Parameter
 from timo_sim.scene.scene import Scene
-from timo_sim.simulation.energy import integral, work
-from timo_sim.simulation.loads import pieces
 
 FPS = Parameter('--fps', 30.0, 'Hz', 'frames', low=0.0, high=1e6, open_low=True)
 DEFLECTION_SCALE = Parameter('deflection_scale', 1.0, '', 'drawn deflection over the computed one',
@@ -97,27 +94,15 @@ class Track:
 
 
 def track_of_run(run: Any, name: str = 'run', deflection_scale: float = 1.0) -> Track:
-    """Return the track of a `Run`; that of a log has no balance of its energy."""
-    ns = np.rint(run.t * 1e9).astype(np.int64)
-    heat = run.friction_heat if run.recording is None else None
-    return track_of_motion(name, run.scene, ns, run.values, run.effort, heat, run.payloads,
-                           deflection_scale)
-
-
-def track_of_motion(name: str, scene: Scene, ns: np.ndarray, motion: np.ndarray,
-                    effort: np.ndarray, heat: np.ndarray | None = None,
-                    payloads: Sequence[tuple[int, float, float]] = (),
-                    deflection_scale: float = 1.0) -> Track:
     """
-    Return the track of a known motion, shape (n, 2 (3 + N)), at the sim times `ns`, (n,) [ns].
+    Return the track of a `Run`.
 
-    `effort` is force on the carrier, world x and y [N], and torque [N m], (n, 3); `payloads` are
-    those of `Run`. The balance of energy, work and losses needs the `heat` of dry friction so far,
-    (n,) [J], and is not computed without it, with `payloads`, or if loads act whose work the
-    efforts do not contain. Poses have `deflection_scale` times the deflection; one that is not
-    above 0 and at most 1e9 is a ParameterError.
+    Poses have `deflection_scale` times the deflection; one that is not above 0 and at most 1e9 is
+    a ParameterError.
     """
     scale = DEFLECTION_SCALE.check(deflection_scale)
+    scene, motion, effort = run.scene, run.values, run.effort
+    ns = np.rint(run.t * 1e9).astype(np.int64)
     formulation, half = scene.build(), motion.shape[1] // 2
     modal, tip = motion[:, 3:half], formulation.tip_point
     bend = _in_blocks(formulation.centre_line, modal, tip)[:, 0] - [tip.lever[0], 0.0]
@@ -130,30 +115,10 @@ def track_of_motion(name: str, scene: Scene, ns: np.ndarray, motion: np.ndarray,
         Trace('carrier_velocity', ('x', 'y'), ns, motion[:, half:half + 2]),
         Trace('shaft_speed', ('theta',), ns, motion[:, half + 2:half + 3]),
         Trace('force', ('x', 'y'), ns, effort[:, :2]),
-        Trace('torque', ('torque',), ns, effort[:, 2:])]
+        Trace('torque', ('torque',), ns, effort[:, 2:]),
+        Trace('energy', ('energy',), ns, run.energy()[:, np.newaxis])]
     if half > 3:
         traces.append(Trace('modal', tuple(f'q{n}' for n in range(1, half - 2)), ns, modal))
-    steps = np.rint(1e-9 * ns / scene.step).astype(int)
-    stored = np.concatenate([
-        model.energy(motion[part]) for model, part in pieces(scene, steps, payloads)])
-    # Efforts contain forces on the carrier, and torques on the shaft unless it is driven.
-    seen = ('carrier',) if scene.values['motor.shaft'] == 'driven' else ('carrier', 'shaft')
-    pushed = any(scene.load.terms[each.name] for each in INPUTS
-                 if each.prescribed and each.group not in seen)
-    if heat is not None and not pushed and not payloads:
-        jumps = np.rint([time / scene.step for terms in scene.load.terms.values()
-                         for term in terms for time in term.jumps()])
-        position, velocity = (motion[:, part] @ formulation.driven_turns
-                              for part in (slice(half), slice(half, None)))
-        done = work(ns, position, velocity, effort, np.isin(steps, jumps)[:, np.newaxis])
-        done -= integral(ns, _in_blocks(formulation.dissipation, motion)) + np.diff(heat)
-        expected = stored[0] + np.append(0.0, np.cumsum(done))
-        traces += [Trace('energy', ('energy', 'first energy + work - losses'), ns,
-                         np.column_stack([stored, expected])),
-                   Trace('balance', ('energy - work + losses',), ns,
-                         (stored - expected)[:, np.newaxis])]
-    else:
-        traces.append(Trace('energy', ('energy',), ns, stored[:, np.newaxis]))
 
     def poses(part):
         return Poses(formulation.shape(motion[part], scale), motion[part, 2])

@@ -1,9 +1,7 @@
 # Copyright 2026 The timo_sim authors
 # SPDX-License-Identifier: Apache-2.0
 
-"""Integrals of power between samples of a motion."""
-
-from __future__ import annotations
+"""The work of loads between samples of a motion, and what a run's balance of energy lacks."""
 
 import numpy as np
 
@@ -38,16 +36,19 @@ def work(ns: np.ndarray, position: np.ndarray, velocity: np.ndarray, force: np.n
     return np.sum(np.where(still, 0.0, span * power / 6.0), axis=1)
 
 
-def integral(ns: np.ndarray, power: np.ndarray) -> np.ndarray:
+def balance(run):
     """
-    Return the integral of a power, (n,) [W], from each sample to the next, (n - 1,) [J].
+    Return the energy of a `Run` less its first, less the work of its loads, plus losses, (n,) [J].
 
-    The trapezoidal rule is corrected by the slopes at both ends, which gives fourth order for
-    equally spaced samples. `ns`, (n,), are their times [ns].
+    Loads act on the carrier, and on the shaft unless that is driven. The error is of fourth order
+    in the samples' distance, and up to half a sample's work where a load jumps between two.
     """
-    duration = np.diff(ns) * 1e-9
-    done = 0.5 * duration * (power[1:] + power[:-1])
-    if len(ns) > 2 and duration.all():
-        slope = np.gradient(power, np.asarray(ns) * 1e-9, edge_order=2)
-        done -= duration**2 / 12.0 * np.diff(slope)
-    return done
+    ns, model, half = np.rint(run.t * 1e9), run.model, run.values.shape[1] // 2
+    steps = np.rint(run.t / run.scene.step)
+    jumps = np.rint([time / run.scene.step for terms in run.scene.load.terms.values()
+                     for term in terms for time in term.jumps()])
+    position, velocity = (run.values[:, part] @ model.driven_turns
+                          for part in (slice(half), slice(half, None)))
+    done = work(ns, position, velocity, run.effort, np.isin(steps, jumps)[:, np.newaxis])
+    energy = run.energy() + run.friction_heat + run.dissipated()
+    return energy - energy[0] - np.append(0.0, np.cumsum(done))
