@@ -8,7 +8,7 @@ from pathlib import Path
 from textwrap import wrap
 
 from timo_sim.log.read import LogFile
-from timo_sim.log.write import ENVIRONMENT, in_wall_time, plain
+from timo_sim.log.write import ENVIRONMENT, plain
 from timo_sim.topics.outputs import NANOSECONDS
 
 _IN_A_LINE = 4  # counters
@@ -28,15 +28,14 @@ def info(file: Path | str) -> list[str]:
 
 def _about_run(log, notes):
     facts, summary, resets, changes = notes
-    statistics, wall = log.summary.statistics, in_wall_time(facts)
-    end = statistics.message_end_time - wall * statistics.message_start_time
+    end = log.summary.statistics.message_end_time
     steps = ', '.join(map(str, sorted(resets)[:8])) + (', ...' if len(resets) > 8 else '')
     counted = [f'{name} {value}' for name, value in summary.items() if name != 'timing']
     for title, lines in {
             'changed': _changed(facts) or ['nothing: the arm of the paper at rest'],
             'made with': [', '.join(f'{name} {facts[name]}' for name in ENVIRONMENT
                                     if name in facts)],
-            'wall time' if wall else 'sim time': [f'0 to {end / NANOSECONDS:.9g} s'],
+            'sim time': [f'0 to {end / NANOSECONDS:.9g} s'],
             'resets': [f'at steps {steps}' if resets else 'none'],
             'set later': [f'at step {step}: {name} = {json.dumps(value)}'
                           for step, _, values in changes for name, value in values.items()][:20],

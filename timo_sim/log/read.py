@@ -31,7 +31,7 @@ from mcap.writer import MCAP0_MAGIC
 import zstandard
 
 from timo_sim.log.write import (
-    CHANGE, Chunk, CHUNK_SIZE, HEAD, in_wall_time, MESSAGE, MESSAGE_OPCODE, numbered, printable,
+    CHANGE, Chunk, CHUNK_SIZE, HEAD, MESSAGE, MESSAGE_OPCODE, numbered, printable,
     RESET, START, SUMMARY, sync, Writer)
 from timo_sim.scene.files import whole_file
 
@@ -354,7 +354,7 @@ def recover(file: Path | str, output: Path | str | None = None) -> str:
                 time = MESSAGE.unpack_from(record)[2]
                 count, earliest, latest = count + 1, min(earliest, time), max(latest, time)
             elif isinstance(record, Metadata) and record.name == START:
-                in_sim_time = not in_wall_time(record.metadata)
+                in_sim_time = True
         contents = f'{count} messages ' + (
             f'until sim time {1e-9 * latest:.3f} s' if in_sim_time else
             f'within {1e-9 * max(0, latest - earliest):.3f} s')

@@ -23,7 +23,7 @@ import numpy as np
 from timo_sim.extras import optional
 from timo_sim.log.read import files_of, LogError, LogFile
 from timo_sim.log.write import (
-    in_wall_time, information, MESSAGE, original_names, printable, RESET, TEXT, yaml_text)
+    information, MESSAGE, original_names, printable, RESET, TEXT, yaml_text)
 from timo_sim.scene.files import whole_file
 from timo_sim.scene.parameters import frame_names, ParameterError, PARAMETERS
 from timo_sim.scene.scene import load_scene
@@ -354,8 +354,6 @@ class Recording:
             if collector.command:
                 sequence[:] = 0  # those of the recorder
                 ns = np.rint(1e9 * self.scene.step * self._steps_of_commands(log_ns, ns, found))
-        elif collector.command and in_wall_time(self.facts):
-            ns = np.rint(1e9 * self.scene.step * sequence)
         if self.facts:
             # In lock step, the stamp of the first state differs from its time by some ns.
             step = np.rint(1e-9 * ns / self.scene.step).astype(np.int64)

@@ -96,11 +96,6 @@ def _plain(values):
             for name, value in values.items()}
 
 
-def in_wall_time(facts: dict[str, str]) -> bool:
-    """Return whether the times of messages in a log are those of the wall clock."""
-    return '"record_time": "wall"' in facts.get('parameters', '')
-
-
 def original_names(facts: dict[str, str]) -> dict[str, str]:
     """Return the names of topics before they were remapped, by topic; {} if a log has none."""
     try:
@@ -336,15 +331,14 @@ class Recorder:
     up other threads, and gives them to the operating system at least every `FLUSH_PERIOD`. If that
     fails or takes longer than `GIVE_UP_AFTER`, or another program deletes, cuts or writes to the
     file, `error` says so and later messages are dropped; `warning` says that the file has been
-    moved or the disk is slow. Times in the file are sim time, or `wall` time. Raises OSError if
-    the file cannot be made.
+    moved or the disk is slow. Times in the file are sim time. Raises OSError if the file cannot be
+    made.
     """
 
     def __init__(self, path: Path | str, channels: list[Channel],
-                 notes: dict[str, dict[str, str]], wall: bool = False) -> None:
+                 notes: dict[str, dict[str, str]]) -> None:
         self.error: str | None = None
         self.warning: str | None = None
-        self._wall = wall
         self._lock = threading.Lock()  # of the chunk that grows
         self._chunk = Chunk()
         self._queue: deque[tuple] = deque()  # method of the Writer and its argument, to be called
@@ -382,9 +376,8 @@ class Recorder:
         """Log a message, CDR, of a channel at a step and its stamp, sim time [ns]."""
         if self.error is not None:
             return
-        logged = time.time_ns() if self._wall else stamp
         with self._lock:
-            self._chunk.add(data, index + 1, step & 0xffffffff, logged, logged)
+            self._chunk.add(data, index + 1, step & 0xffffffff, stamp, stamp)
             if len(self._chunk.data) < CHUNK_SIZE:
                 return
         self._queue_chunk()
@@ -478,7 +471,7 @@ class NewLog(Recorder):
 
     def __init__(self, path: Path | str, scene: Scene, values: dict[str, Any],
                  node: str = '/timo_sim', **notes: str) -> None:
-        namespace, values = node.rpartition('/')[0], {**values, 'record_time': 'sim'}
+        namespace = node.rpartition('/')[0]
         channels = [Channel(node + command.name[1:], command.type_name) for command in COMMANDS]
         self._topics: dict[str, tuple] = {}
         self.summary: dict[str, str] = {}

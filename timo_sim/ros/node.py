@@ -127,8 +127,7 @@ class SimNode(ParameterNode):
         if self._values['record']:
             self._log.open(
                 self._values['record_file'], self._commands.channels, outlets,
-                start_note(self.get_fully_qualified_name(), self._values),
-                self._values['record_time'] == 'wall')
+                start_note(self.get_fully_qualified_name(), self._values))
         self._loop.check_subscribers()
         for outlet in self._scene_topic, self._description:
             outlet.check_subscribers()

@@ -320,18 +320,17 @@ class RunLog:
         return self._recorder and self._recorder.path
 
     def open(self, path: str, channels: list[Channel], outlets: Sequence[Outlet],
-             note: dict[str, str], wall: bool) -> None:
+             note: dict[str, str]) -> None:
         """
         Begin a log with a note, a dictionary; without a path its name has date and time.
 
         Messages of `channels` are given to `write`; outlets write to it by themselves from now on.
-        Log times are sim time, or `wall` time.
         """
         # ~ comes as it is from parameter files, and from -p in some shells.
         path = os.path.expanduser(path or f'timo_sim_{datetime.now():%Y%m%d_%H%M%S}.mcap')
         logged = [*channels, *(outlet.channel for outlet in outlets)]
         try:
-            self._recorder = Recorder(path, logged, {START: {**note, **names_note(logged)}}, wall)
+            self._recorder = Recorder(path, logged, {START: {**note, **names_note(logged)}})
         except (OSError, ValueError) as error:  # ValueError: a path without a name
             self._fail(f'no log is written to {path}: {error}')
             return

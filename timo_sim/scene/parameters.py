@@ -429,8 +429,6 @@ _ALL = [
     Parameter('record', True, '', 'whether the run is logged to an MCAP file', scope=NODE),
     Parameter('record_file', '', '', 'path of the log; empty: timo_sim_DATE_TIME.mcap in the '
               'working directory', scope=NODE),
-    Parameter('record_time', 'sim', '', 'log times of the messages in it: sim time, or wall time '
-              'as in the bag of a robot', choices=('sim', 'wall'), scope=NODE),
     Parameter('record_sensors', False, '', f'whether {", ".join(_SENSOR_TOPICS[:-1])} and '
               f'{_SENSOR_TOPICS[-1]} are logged also while nobody subscribes', scope=NODE),
     Parameter('publish_tf', False, '', 'whether the frames of the bent arm are published on /tf, '
