@@ -18,9 +18,9 @@ import numpy as np
 from timo_sim.extras import optional
 from timo_sim.model.layout import FORCE_X, FORCE_Y, LOADS, rotate, TORQUE
 from timo_sim.scene.parameters import (
-    checked, MAPPING, numbers, NUMBERS, Parameter, ParameterError, WHOLE, whole_ratio)
+    checked, LATEST, MAPPING, numbers, NUMBERS, Parameter, ParameterError, WHOLE, whole_ratio)
 from timo_sim.scene.scene import load_scene, SceneLike
-from timo_sim.simulation.batch import Batch
+from timo_sim.simulation.batch import Batch, MOST_ARMS
 from timo_sim.simulation.simulator import Stateful
 
 with optional():
@@ -33,15 +33,18 @@ with optional():
 # The paper's arm with the brakes of its carrier on; the tip is within 0.1 mm of a finer model's.
 SCENE: dict[str, Any] = {'carrier.held': 'both', 'initial.shaft': 0.0, 'model.modes': 3,
                          'integrator.step': 0.005, 'motor.torque_limit': 10.0}
-_COUNT = Parameter('num_envs', 1, '', 'number of manipulators', low=1)
+_COUNT = Parameter('num_envs', 1, '', 'number of manipulators', low=1, high=MOST_ARMS)
 _FORCE = Parameter('force', 0.0, 'N', 'force on the carrier at an action of 1', low=0.0)
-_DURATION = Parameter('duration', 4.0, 's', 'of an episode', low=0.0, open_low=True)
+_DURATION = Parameter('duration', 4.0, 's', 'of an episode', low=0.0, high=LATEST,
+                      open_low=True)
 _PERIOD = Parameter('period', 0.02, 's', 'from one action to the next', low=0.0, open_low=True)
 _FARTHEST_GOAL = Parameter('farthest_goal', 1.0, 'rad', 'largest angle to a goal', low=0.0)
 _MODE = Parameter('autoreset_mode', '', '', '', choices=tuple(
     mode.value for mode in AutoresetMode))
 _SEEDS = (lambda seed: all(each is None or WHOLE[0](each) for each in (
     seed if np.ndim(seed) else [seed])), 'a whole number, or a list of them')
+_ROWS: Any = (lambda rows: np.ndim(rows) == 2 and NUMBERS[0](rows),
+              'finite numbers, a row for each environment')
 _SPEED, _EFFORT = 0.1, 0.01  # what speed [s] and squared action [rad] cost beside a distance
 
 
@@ -99,6 +102,8 @@ class ReachVectorEnv(Stateful, VectorEnv):
 
     """
 
+    @checked(variations=(lambda given: all(isinstance(each, Mapping) for each in [*given]),
+                         'a list of values by name'))
     def __init__(self, num_envs: int = 1, scene: SceneLike = SCENE,
                  variations: Sequence[Mapping[str, Any]] | None = None, period: float = 0.02,
                  duration: float = 4.0, farthest_goal: float = 1.0, force: float = 0.0,
@@ -210,7 +215,7 @@ class ReachVectorEnv(Stateful, VectorEnv):
             found = self._observations()
         return found, rewards, failed, truncations, infos
 
-    @checked(observations=NUMBERS, actions=NUMBERS)
+    @checked(observations=_ROWS, actions=_ROWS)
     def reward(self, observations: np.ndarray, actions: np.ndarray) -> np.ndarray:
         """Return the rewards of a period, (num_envs,); a class of another task overrides it."""
         left, speed, _, bend_rate = observations[:, :4].astype(float).T

@@ -77,12 +77,20 @@ def feedforward(model: LinearModel, goal: Mapping[str, float], duration: float |
         raise ParameterError("goal must have values by name of output, such as {'shaft_rad': 0.8},"
                              f' got {short(goal)}')
     values = _GOAL.check([*goal.values()])
-    limits = np.stack([np.broadcast_to(_LIMITS.check(each), len(model.inputs)) * unit
-                       for each, unit in ((limit, 1.0), (rate_limit, model.dt))])
+    given = [_LIMITS.check(each) for each in (limit, rate_limit)]
+    if {*map(len, given)} - {1, len(model.inputs)}:
+        raise ParameterError('limit and rate_limit must be a number, or one for each of '
+                             f'{len(model.inputs)} inputs, got {short(limit)} and '
+                             f'{short(rate_limit)}')
+    limits = np.stack([np.broadcast_to(each, len(model.inputs)) * unit
+                       for each, unit in zip(given, (1.0, model.dt))])
     if duration is None and not np.isfinite(limits).any():
         raise ParameterError('duration must be given if nothing is limited, got None')
     low = high = len(model.A) if duration is None else whole_ratio(
         'duration', _DURATION.check(duration), 'dt', model.dt)
+    if low > _LONGEST:
+        raise ParameterError(f'duration must be at most {_LONGEST} periods, '
+                             f'{_LONGEST * model.dt:g} s, got {duration:g} s')
     inputs = partial(_inputs, model.select(outputs=[*goal]), values, limits)
     while inputs(high) is None:
         low, high = high, 2 * high

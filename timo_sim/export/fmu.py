@@ -90,7 +90,7 @@ def export_fmu(scene: SceneLike, path: Path | str, version: int = 3, estimate: b
 
     """
     scene, path = load_scene(scene), Path(path)
-    if version not in _PLATFORMS:
+    if version not in [*_PLATFORMS]:
         raise ParameterError(f'version must be 2 or 3, got {short(version)}')
     if target not in TARGETS:
         raise ParameterError(f'target must be {", ".join(TARGETS)}, got {short(target)}')

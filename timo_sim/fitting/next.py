@@ -18,7 +18,7 @@ from timo_sim.scene.parameters import Parameter, ParameterError
 from timo_sim.scene.scene import Scene
 
 _LIMIT = Parameter('limit', 1.0, '', '', low=0.0, open_low=True)
-_DURATION = Parameter('duration', 1.0, 's', '', low=0.0, open_low=True)
+_MOST_SAMPLES = 10**7  # of an input
 _WEAKEST = 1e-6  # information on each coordinate, so that unidentified ones have an interval
 _BAND = 0.2, 1.3  # ends of a band of frequencies, relative to the first and second of the scene
 
@@ -50,8 +50,10 @@ def next_inputs(search: Search, information: np.ndarray, scene: Scene, limit: fl
     limit = np.abs(channel.values).max() if limit is None else _LIMIT.check(limit)
     name = next(each.limit for each in INPUTS if each.name == quantity)
     limit = min(limit, scene.values[name] if name else limit)
-    duration = first.record.duration if duration is None else _DURATION.check(duration)
-    t = first.record.period * np.arange(round(duration / first.record.period) + 1)
+    period = first.record.period
+    rule = Parameter('duration', 1.0, 's', '', low=0.0, high=_MOST_SAMPLES * period, open_low=True)
+    duration = first.record.duration if duration is None else rule.check(duration)
+    t = period * np.arange(round(duration / period) + 1)
     before = _deviations(information)
     shared = [k for k, free in enumerate(search.free) if not free.is_own]
     widest = search.free[max(shared or range(size), key=before.__getitem__)].name

@@ -29,7 +29,7 @@ _MAX_STEPS, _SETTLED = 3, 0.05  # of Gauss and Newton in a refit; fall of square
 _FREEDOM = 5.0  # degrees of freedom of Student's distribution from which weighted samples come
 _MIN_DRAWS, _MAX_DRAWS = 100, 1000  # draws that are weighted by runs
 _FAR = 3.0  # deviations up to which the volume of a draw is followed
-_COUNT = Parameter('n', 1, '', '', low=1)
+_COUNT = Parameter('n', 1, '', '', low=1, high=10**7)
 
 
 class Samples(NamedTuple):

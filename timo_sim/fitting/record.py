@@ -203,7 +203,7 @@ class Record:
                                      f'{", ".join(self.outputs)} ({self.source})')
         return replace(self, outputs={name: self.outputs[name] for name in outputs})
 
-    @checked(start=NUMBER, end=(lambda end: end > 0.0, 'a number > 0'))
+    @checked(start=NUMBER, end=(lambda end: float(end) > 0.0, 'a number > 0'))
     def cut(self, start: float = 0.0, end: float = np.inf) -> Record:
         """
         Return the part from `start` to `end` [s], whose time begins at 0 again.

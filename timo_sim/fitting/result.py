@@ -326,7 +326,7 @@ _TIME = Parameter('time', 1.0, 's', '', low=0.0, open_low=True)
 
 
 def _are_records(value):
-    return all(isinstance(each, RecordLike) for each in (
+    return all(isinstance(each, RecordLike) and each != '' for each in (
         value if isinstance(value, (list, tuple)) else [value]))
 
 
@@ -604,6 +604,8 @@ def read_scene_and_records(
     if not fitted or len(mappings) != len(every):
         raise ParameterError('a fit needs a record, and one mapping for all or one for each, got '
                              f'{len(fitted)} and {len(mappings)}, with {len(held)} held out')
+    if mapping is not None and all(isinstance(each, Record) for each in every):
+        raise ParameterError('mapping must be None with Records, got ' + short(mapping))
     for each, own in zip(every, mappings):  # the scene of the first log is that of all
         scene, measured = _read(scene, each, own)
         found.append(measured)

@@ -117,7 +117,10 @@ class Recording:
                            'timo_sim 0.2.0 was the last to read')
         self.resets = np.array(sorted(logged), dtype=np.int64)
         self._resets_in_order = self.resets.tolist() == logged
-        self.name = node or self.facts.get('node') or self._find_node()
+        self.name = self.facts.get('node') or node or self._find_node()
+        if node and node != self.name:
+            raise LogError(f'{self.title} is a log of the node {self.name}, of none named '
+                           f'{printable(node)}')
         self.of_scene: np.ndarray | None = None
         if not self.facts:
             self._read_scene()

@@ -92,12 +92,13 @@ class LinearModel:
     @checked(motion=NUMBERS)
     def state(self, motion: Motion | ArrayLike) -> np.ndarray:
         """Return the states `x` of motions, shape (..., 2 (3 + N)), shape (..., m)."""
-        return (np.asarray(motion) - self.equilibrium)[..., self.places]
+        motion = numbers('motion', motion, (*np.shape(motion)[:-1], len(self.equilibrium)))
+        return (motion - self.equilibrium)[..., self.places]
 
     @checked(x=NUMBERS)
     def to_motion(self, x: ArrayLike) -> Motion:
         """Return the Motion of states `x`, shape (..., m); other coordinates are at rest."""
-        x = np.asarray(x, dtype=float)
+        x = numbers('x', x, (*np.shape(x)[:-1], len(self.places)))
         values = np.broadcast_to(self.equilibrium, (*x.shape[:-1], len(self.equilibrium))).copy()
         values[..., self.places] += x
         return Motion(values)
@@ -132,7 +133,7 @@ class LinearModel:
     @checked(frequency=NUMBERS)
     def frequency_response(self, frequency: Any) -> np.ndarray:
         """Return outputs per input at frequencies, shape (n,) [Hz], complex, (n, y, u)."""
-        s = 2j * np.pi * np.asarray(frequency, dtype=float)[:, np.newaxis, np.newaxis]
+        s = 2j * np.pi * np.ravel(frequency).astype(float)[:, np.newaxis, np.newaxis]
         if self.dt is not None:
             s = np.exp(s * self.dt)  # z on the unit circle
         return self.C @ np.linalg.solve(s * np.eye(len(self.A)) - self.A,

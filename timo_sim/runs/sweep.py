@@ -301,7 +301,7 @@ def run_lanes(scenes: list[Scene], steps: int) -> tuple[np.ndarray, Batch]:
                             batch.deflection()[:, 1], rotation, batch.motion.values[:, :3]]), batch
 
 
-_WORKERS = Parameter('workers', 1, '', 'processes', low=1)
+_WORKERS = Parameter('workers', 1, '', 'processes', low=1, high=10000)
 _ENVIRONMENT = {'PYTHONSAFEPATH': '1', 'OPENBLAS_NUM_THREADS': '1', 'OMP_NUM_THREADS': '1',
                 'MKL_NUM_THREADS': '1'}
 _STARTING = threading.Lock()

@@ -504,7 +504,7 @@ FUNCTION: Any = callable, 'a function'
 MAPPING: Any = lambda value: isinstance(value, Mapping), 'values by name'
 NUMBER: Any = _is_number, 'a finite number'
 NUMBERS: Any = _are_numbers, 'a finite number, or an array of them,'
-PATH: Any = lambda value: isinstance(value, (str, os.PathLike)), 'a path'
+PATH: Any = lambda value: isinstance(value, (str, os.PathLike)) and value != '', 'a path'
 TEXT: Any = lambda value: isinstance(value, str), 'a text'
 TEXTS: Any = _are_texts, 'a list of names'
 CONTACT: Any = lambda value: value in ('', 'closed', 'open'), "closed, open or ''"
@@ -543,7 +543,7 @@ def checked(**rules: Any) -> Callable[[_Function], _Function]:
                 test, words = rules[name]
                 try:
                     good = test(value)
-                except (TypeError, ValueError, OverflowError):
+                except (TypeError, ValueError, OverflowError, LookupError):
                     good = False
                 if not good:
                     raise ParameterError(f'{name} must be {words}, got {short(value)}')

@@ -109,7 +109,8 @@ class LaneLoads:
         return found[..., columns[0]:columns[-1] + 1]
 
 
-_COUNT = Parameter('n', 1, '', 'number of manipulators', low=1)
+MOST_ARMS = 10**7  # of a Batch
+_COUNT = Parameter('n', 1, '', 'number of manipulators', low=1, high=MOST_ARMS)
 _MAX_NUMBERS = 2**22  # most numbers that the loads of a call to compiled code take
 
 
