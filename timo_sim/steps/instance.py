@@ -47,7 +47,7 @@ _OK, _NOT_FINITE, _BAD_STATE, _DIVERGED, _NOT_POSITIVE = (int(code) for code in 
 # and whether the finer run diverged.
 MARK, STEPS, PART, KNOWN, LOST = range(5)
 MAGIC = 0x74696d6f5f73696d  # 'timo_sim'
-_LARGEST = 1e60  # of a number of a saved motion; its fourth power is finite
+_LARGEST = 1e12  # of a number of a saved motion; from some 1e18 on outputs are not finite
 _MOST_STEPS = 2.0**53  # to which steps are counted in a saved state
 
 
