@@ -92,11 +92,12 @@ def rows(quick=False):
             yield kind, static, *counts([each for each in found if each['static'] == static])
 
 
-def counts(found):
-    """Return `VERDICTS` of what was found."""
+def counts(found, seen=_SEEN):
+    """Return `VERDICTS` of what was found; estimates are those of errors above `seen`."""
     error, estimate = (np.array([each[name] for each in found]) for name in ('error', 'estimate'))
     warned = np.array([bool(each['warning']) for each in found])
-    known = (error > _SEEN) & np.isfinite(estimate)
+    doubt = np.array([each.get('doubt', 0.0) for each in found])  # about the reference
+    known = (error > seen) & (doubt < error / 3.0) & np.isfinite(estimate)
     ratio = estimate[known] / error[known]
     near = (1.0 / _FACTOR < ratio) & (ratio < _FACTOR)
     return (len(found), int(np.isnan(error).sum()), int(((error > _SILENT) & ~warned).sum()),
