@@ -37,7 +37,8 @@ class Vibrations(PointsOfArm):
     `poles`, (n,) [1/s], have positive imaginary parts. `vectors`, (n, 3 + N), are carrier, shaft
     and modal coordinates, complex; the largest displacement of the arm is 1 m. `error`, (n,), is
     the estimated relative error of the frequencies: their distance from those of a model with
-    two more modes in bending and, in `exact`, one more axial mode.
+    two more modes in bending and, in `exact`, one more axial mode. Vibrations that are more than
+    half of static shapes, by their elastic energy, are left out.
     """
 
     model: Formulation
@@ -181,4 +182,8 @@ def _about(scene, start, load, contact):
     chosen = chosen[np.abs(poles[chosen]).argsort()]
     vectors = np.zeros((len(chosen), half), complex)
     vectors[:, places[:len(places) // 2]] = found[:len(places) // 2, chosen].T
-    return model, motion, poles[chosen], vectors
+    # A static shape answers loads; its own vibration is none of the arm.
+    energy, first = np.abs(vectors[:, 3:] * model.modes.omega)**2, scene.values['model.modes']
+    of_shapes = energy[:, first:first + len(scene.static)].sum(axis=1)
+    kept = of_shapes <= 0.5 * energy.sum(axis=1)
+    return model, motion, poles[chosen][kept], vectors[kept]
