@@ -91,6 +91,18 @@ def test_agrees_with_simulator(formulation, name):
     assert not batch.failed.any() and batch.t == pytest.approx(0.302)
 
 
+def test_an_axial_mode_that_is_slowed_down_moves_as_in_simulator():
+    """Its inertia depends on the step and on the frequency of each scene."""
+    scene = scene_of('stretches', 'exact', **{'integrator.step': 0.005})
+    scenes = [scene, *(scene.vary(each) for each in (
+        {'end_effector.mass': 3.0}, {'arm.young_modulus': 2e11}))]
+    together = timo_sim.Batch(scenes).advance(100, sample_every=10)
+    for each, found in zip(scenes, together):
+        alone, _ = timo_sim.Simulator(each).advance(100, sample_every=10)
+        assert each.fastest == 100.0
+        assert np.abs((found - alone) / size_of(together)).max() < 1e-10
+
+
 @pytest.mark.parametrize('formulation', ['exact', 'newton'])
 def test_bits_are_a_lanes_own(formulation):
     """Number of lanes, place, neighbours, their bodies and the steps per call change no bit."""
