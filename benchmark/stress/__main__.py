@@ -8,7 +8,7 @@ That takes an hour and a half; `--quick` prints a part of it; `--parts Node` mak
 """
 
 from benchmark.report import make_page, table
-from benchmark.stress import at_rest, c_code, in_motion, log, node, numerics
+from benchmark.stress import at_rest, axial, c_code, in_motion, log, node, numerics
 from benchmark.stress.scenes import cell, hard_cell, laden_cell
 
 
@@ -36,6 +36,7 @@ PARTS = {
         ['load', 'static modes', *at_rest.VERDICTS], at_rest.rows(quick)),
     'Loads in motion': lambda quick: table(
         ['load', 'static modes', *in_motion.MOVED], in_motion.rows(quick)),
+    'Axial modes': lambda quick: table(['scenes', *axial.VERDICTS], axial.rows(quick)),
     'An hour': lambda quick: table(
         ['scene', 'formulation', 'energy', 'momentum', 'remark'], numerics.long_rows(quick)),
     'C code': c_code.part, 'Node': faults(node), 'Log': faults(log)}

@@ -42,9 +42,9 @@ _TERM_NAMES = {channel: tuple(f'load.{channel}.{name}' for name in (
 _MAX_NUMBER = 1e50  # products of six numbers, as in an energy, do not overflow
 _MAX_LENGTH = 30.0  # longest arm that is not taken for one in millimetres [m]
 _MIN_SLENDERNESS = 3.0  # length over height; a shorter arm is a block, not a beam
-# Largest phase of an axial vibration in a step that is left as it is, and that of one which is
-# slowed down, with which no tested arm diverged [rad].
-AXIAL_PHASE, RESOLVED = 4.0, 0.5
+# Phases of an axial vibration in a step [rad]: the largest of a finer run, the largest that is
+# left as it is, and that of one which is slowed down. Bent arms diverged from 0.88 on.
+AXIAL_PHASE, _LEFT, _SLOWED = 4.0, 0.7, 0.5
 _OF_MATERIAL = 'density', 'young_modulus', 'shear_modulus'
 _MODAL = 'initial.modal_coordinates', 'initial.modal_rates'
 _JOINTS = 'carrier_x', 'carrier_y', 'shaft'
@@ -146,13 +146,13 @@ class Scene:
         """
         Frequency to which faster axial vibrations are slowed down [rad/s]; infinite if none is.
 
-        That is done if steps cover more than AXIAL_PHASE of one, theory (T67): the stretch then
+        That is done if steps cover more than 0.7 rad of one, theory (T67): the stretch then
         follows slow forces.
         """
         if not (count := self.values['model.axial_modes']) or self.keeps_axial or not self.step:
             return math.inf
         omega = axial_modes(self.manipulator, count, self.constraints).omega
-        return RESOLVED / self.step if self.step * omega[-1] > AXIAL_PHASE else math.inf
+        return _SLOWED / self.step if self.step * omega[-1] > _LEFT else math.inf
 
     @cached_property
     def fastest_shape(self) -> float:
@@ -160,7 +160,7 @@ class Scene:
         if not self.static or not self.step or not _soft_in_shear(self.manipulator.arm):
             return math.inf
         limit, goal = (_SHEAR_PHASE, _SHEAR_PHASE) if 'shear' in self.static else (
-            AXIAL_PHASE, RESOLVED)
+            AXIAL_PHASE, _SLOWED)
         omega = modes_of(self.manipulator, self.values['model.modes'], self.static).omega
         return goal / self.step if self.step * omega[-1] > limit else math.inf
 
