@@ -118,7 +118,7 @@ BAD_ARGUMENTS = [
     ({'variations': [{'arm.length': lambda: 2.0}]}, 'variations must be picklable'),
     ({'variations': {'arm.length': [2.0]}}, 'variations must be a list of values by name, got {'),
     ({'variations': [{'arm': {'length': 2.0}, 'arm.length': 3.0}]}, 'arm.length is given twice'),
-    ({'workers': 1.5}, 'workers must be a whole number >= 1, got 1.5')
+    ({'workers': 1.5}, 'workers must be a whole number >= 1 and <= 10000, got 1.5')
 ]
 
 

@@ -22,6 +22,7 @@ A run is
   lengths or more, the scene is `sensitive`: no run can predict its tip.
 """
 
+from dataclasses import replace
 from functools import cached_property
 import math
 
@@ -154,7 +155,8 @@ def _elements(cell, order):
 def _run(cell, changes, parts=1, looked_at=False):
     """Return the path of the tip, shape (n, 2) [m], statistics and warning; or None, None, why."""
     try:
-        scene = timo_sim.load_scene({}, {**cell.values, **changes})
+        scene = replace(timo_sim.load_scene({}, {**cell.values, **changes}),
+                        keeps_axial=not looked_at)  # a reference has its axial vibrations
         run = run_scene(scene, parts * cell.steps, parts * cell.every)
         if looked_at:  # as `simulate` does
             run = measure_error(run)

@@ -29,14 +29,15 @@ BOTH = {'payload.time': [0.2, 0.5], 'payload.mass': [5.0, 1.0], 'payload.inertia
 @pytest.mark.parametrize('values', [{**HELD, **PICKED}, {**FREE, **DROPPED}],
                          ids=['held', 'free, dropped'])
 def test_a_load_that_changes_in_flight_against_spectral_elements(values):
-    scene = timo_sim.load_scene({}, {**values, 'model.modes': 5, 'model.axial_modes': 1})
-    run = timo_sim.simulate(scene, 1.0, sample_every=100, estimate=False)
+    scene = timo_sim.load_scene({}, {**values, 'model.modes': 5, 'model.axial_modes': 1,
+                                     'integrator.step': 1e-4})  # resolves the axial vibration
+    run = timo_sim.simulate(scene, 1.0, sample_every=1000, estimate=False)
     carrier, shaft, tip, _ = spectral_elements.simulate(scene, 0.1, 10, order=8, courant=0.9)
     assert np.abs(run.carrier - carrier).max() < 1e-6
     assert np.abs(run.position(2.0) - tip).max() < 3e-6
     # What it would be without the change is far from it.
     same = timo_sim.simulate(scene.vary({'payload.time': [], 'payload.mass': [],
-                                         'payload.inertia': []}), 1.0, 100, estimate=False)
+                                         'payload.inertia': []}), 1.0, 1000, estimate=False)
     assert np.abs(same.position(2.0) - tip).max() > 1e-3
 
 
@@ -222,6 +223,8 @@ def test_energy_is_balanced_between_impacts(values):
     left = np.append(0.0, np.cumsum(done)) - energy
     # From after the impact at 0.2 s, with its own rates, to that at 0.5 s.
     bound = 1e-6 if values.get('model.formulation', 'exact') == 'exact' else 2e-2
+    if 'model.axial_modes' in values:
+        bound = 2e-5  # steps of 1 ms do not resolve it, so it is slowed down and damped: 8e-6
     assert np.ptp(left[201:501]) < bound * np.ptp(energy)
 
 

@@ -121,7 +121,7 @@ def modes(scene: SceneLike, speed: float | None = None, contact: str = '') -> Vi
     >>> timo_sim.modes('paper').frequency.round(2)
     array([ 4.27,  9.96, 30.59])
     >>> timo_sim.modes('spin_up', 6.0).frequency.round(2)
-    array([ 0.72,  4.4 , 11.28, 36.49])
+    array([ 0.72,  4.4 , 11.28])
 
     """
     scene = load_scene(scene)
