@@ -105,17 +105,20 @@ def counts(found, seen=_SEEN):
             f'{ratio.min():.2g} to {ratio.max():.2g}' if len(ratio) else '')
 
 
-def main():
-    """Print what is found of some scenes."""
-    words = parser(__spec__, __doc__)
-    words.add_argument('--kind', choices=KINDS, required=True)
+def print_some(spec, text, scene, judge, kinds=()):
+    """Print random scenes that the command line names, and what is found of them."""
+    words = parser(spec, text)
+    if kinds:
+        words.add_argument('--kind', choices=kinds, required=True)
     words.add_argument('--seed', type=int, default=1, help='of the random scenes')
     words.add_argument('--only', type=int, nargs='+', required=True, help='numbers of scenes')
     given = words.parse_args()
     for number in given.only:
-        print(json.dumps(drawn(given.kind, number, given.seed)[0], indent=1))
-        print(json.dumps(judge(given.kind, number, given.seed)))
+        which = (*([given.kind] if kinds else []), number, given.seed)
+        print(scene(*which))
+        print(json.dumps(judge(*which)))
 
 
 if __name__ == '__main__':
-    main()
+    print_some(__spec__, __doc__, lambda *which: json.dumps(drawn(*which)[0], indent=1), judge,
+               KINDS)

@@ -14,7 +14,7 @@ import math
 
 import numpy as np
 
-from benchmark.report import parser
+from benchmark.stress.at_rest import print_some
 import timo_sim
 from timo_sim.runs.run import run_scene
 
@@ -119,16 +119,5 @@ def rows(quick=False):
                f'{np.nanmax([each["distance"] for each in these]):.1e}')
 
 
-def main():
-    """Print what is found of some scenes."""
-    words = parser(__spec__, __doc__)
-    words.add_argument('--seed', type=int, default=1, help='of the random scenes')
-    words.add_argument('--only', type=int, nargs='+', required=True, help='numbers of scenes')
-    given = words.parse_args()
-    for number in given.only:
-        print(json.dumps(drawn(number, given.seed)[1], indent=1))
-        print(json.dumps(judge(number, given.seed)))
-
-
 if __name__ == '__main__':
-    main()
+    print_some(__spec__, __doc__, lambda *which: json.dumps(drawn(*which)[1], indent=1), judge)

@@ -10,13 +10,11 @@ no damping (`test/oracles/spectral_elements.py`); two meshes bound its error.
 `python -m benchmark.stress.in_motion --kind torque --only 3` does number 3 of a kind alone.
 """
 
-import json
 import math
 
 import numpy as np
 
-from benchmark.report import parser
-from benchmark.stress.at_rest import counts, VERDICTS
+from benchmark.stress.at_rest import counts, print_some, VERDICTS
 from oracles import spectral_elements
 import timo_sim
 from timo_sim.runs.run import run_scene
@@ -89,17 +87,5 @@ def rows(quick=False):
                    f'{max(each["doubt"] for each in these):.1e}')
 
 
-def main():
-    """Print what is found of some scenes."""
-    words = parser(__spec__, __doc__)
-    words.add_argument('--kind', choices=KINDS, required=True)
-    words.add_argument('--seed', type=int, default=1, help='of the random scenes')
-    words.add_argument('--only', type=int, nargs='+', required=True, help='numbers of scenes')
-    given = words.parse_args()
-    for number in given.only:
-        print(repr(drawn(given.kind, number, given.seed)))
-        print(json.dumps(judge(given.kind, number, given.seed)))
-
-
 if __name__ == '__main__':
-    main()
+    print_some(__spec__, __doc__, drawn, judge, KINDS)

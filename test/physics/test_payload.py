@@ -217,14 +217,14 @@ def test_energy_is_balanced_between_impacts(values):
         'initial.shaft_velocity': 0.0 if 'motor.shaft' in values else 1.0,
         'load.torque.harmonic.amplitude': [0.0 if 'motor.shaft' in values else 5.0]}})
     run = timo_sim.simulate(scene, 0.7, estimate=False)
-    energy = run.energy() + run.friction_heat
+    # Steps of 1 ms do not resolve an axial vibration, so it is slowed down and damped.
+    lost = run.dissipated() if 'model.axial_modes' in values else run.friction_heat
+    energy = run.energy() + lost
     done = work(np.rint(run.t * 1e9), run.values[:, :3],
                 np.column_stack([run.carrier_velocity, run.shaft_velocity]), run.effort)
     left = np.append(0.0, np.cumsum(done)) - energy
     # From after the impact at 0.2 s, with its own rates, to that at 0.5 s.
     bound = 1e-6 if values.get('model.formulation', 'exact') == 'exact' else 2e-2
-    if 'model.axial_modes' in values:
-        bound = 2e-5  # steps of 1 ms do not resolve it, so it is slowed down and damped: 8e-6
     assert np.ptp(left[201:501]) < bound * np.ptp(energy)
 
 

@@ -52,8 +52,6 @@ from timo_sim.model.exact_code import BAND, BANDS, SECTORS, Tables
 from timo_sim.model.formulation import Formulation, Points
 from timo_sim.model.layout import ANGLE, LOADS, SPEED
 
-_SLOW = 0.1  # least damping ratio of an axial mode that is slowed down
-
 
 class Exact(Formulation):
     """The `exact` formulation, see the module's text."""
@@ -83,10 +81,8 @@ class Exact(Formulation):
             per_coordinate = self.rotor[self.gear_place]
             gear = np.array([[per_coordinate, self.gear.friction,
                               0.5 * self.gear.backlash / per_coordinate]])
-        damping = np.append(self.manipulator.shaft_friction, 2.0 * self.damping * modes.omega)
-        for n in np.flatnonzero(self.slower > 1.0):  # (T67)
-            rotary[1 + n, 1 + n] += self.slower[n]**2 - 1.0
-            damping[1 + n] = 2.0 * max(self.damping[n], _SLOW) * modes.omega[n] * self.slower[n]
+        damping = np.append(self.manipulator.shaft_friction, self.modal_damping)
+        rotary[1:, 1:] += np.diag(self.slower**2 - 1.0)  # (T67)
 
         one_axis = len(self.axes) == 1
         # Number of last coordinates whose rates, not momenta, are in the state.

@@ -33,6 +33,9 @@ class Points(NamedTuple):
     rotation: np.ndarray    # Phi_n, (N, p)
 
 
+_SLOW = 0.1  # least damping ratio of a mode that is slowed down
+
+
 class Formulation(ABC):
     """
     Equations of motion of a manipulator in N assumed modes.
@@ -74,6 +77,8 @@ class Formulation(ABC):
         shaft's.
     damping : ndarray, shape (N,)
         Modal damping ratios zeta_n, that of the gear included.
+    modal_damping : ndarray, shape (N,)
+        Coefficients 2 zeta_n omega_n [1/s], larger where a mode is slowed down (T67).
     axes : ndarray of int
         World axes along which the carrier is free, of 0 and 1.
     driven : int
@@ -123,6 +128,8 @@ class Formulation(ABC):
             ratio = 0.5 * self.gear.damping / math.sqrt(self.gear.stiffness * self.gear.inertia)
             self.damping = np.insert(self.damping, arm - axial, ratio)
             self.rotor[self.gear_place] = 1.0 / math.sqrt(self.gear.inertia)
+        slow = np.maximum(self.damping, _SLOW * (self.slower > 1.0))
+        self.modal_damping = 2.0 * slow * self.modes.omega * self.slower
         self.driven = int(constraints.driven)
         free = constraints.free_axes
         self.axes = np.array(free, dtype=np.int64)
@@ -359,7 +366,7 @@ class Formulation(ABC):
             return q @ strains
         # Modal damping adds to moment and axial force, but not to the strain.
         found = 0.5 * height / stiffness * moment - qdot @ (
-            strains * 2.0 * self.damping / modes.omega)
+            strains * self.modal_damping / modes.omega**2)
         return found + tension / axial_stiffness if self.axial else found
 
     def world(self, motions: np.ndarray, points: Points) -> np.ndarray:
@@ -441,7 +448,7 @@ class Formulation(ABC):
         """Return the power that this friction and modal damping take, shape (n,) [W]."""
         rates = motions[:, self.size // 2:]
         taken = (np.sum(self.friction(motions) * rates[:, :3], axis=1)
-                 + rates[:, 3:]**2 @ (2.0 * self.damping * self.modes.omega))
+                 + rates[:, 3:]**2 @ self.modal_damping)
         return taken + self._gear_power(motions) if self.gear else taken
 
     def mass_matrix(self, motion: np.ndarray) -> tuple[np.ndarray, np.ndarray]:

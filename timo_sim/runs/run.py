@@ -97,9 +97,9 @@ class Run(MotionFields, PointsOfArm):
             'read from a log, which does not say whether there were warnings')
         error = self.stats.get('estimated_tip_error_m', math.nan)
         if not math.isnan(error):
-            found += f', the tip {error:.1g} m at most from that of a finer run'
-            if (bend := self.stats.get('estimated_deflection_error_m', 0.0)) > 2.0 * error:
-                found += f', its deflection {bend:.1g} m'
+            bend = self.stats.get('estimated_deflection_error_m', 0.0)
+            found += f', the tip {error:.1g} m at most from that of a finer run' + (
+                f' and its deflection {bend:.1g} m' if bend > 2.0 * error else '')
         if self.scene.fastest < math.inf:
             found += (', axial vibrations slowed down to '
                       f'{self.scene.fastest / (2.0 * math.pi):.3g} Hz, since steps do not '

@@ -42,8 +42,8 @@ _TERM_NAMES = {channel: tuple(f'load.{channel}.{name}' for name in (
 _MAX_NUMBER = 1e50  # products of six numbers, as in an energy, do not overflow
 _MAX_LENGTH = 30.0  # longest arm that is not taken for one in millimetres [m]
 _MIN_SLENDERNESS = 3.0  # length over height; a shorter arm is a block, not a beam
-# Phases of an axial vibration in a step [rad]: the largest of a finer run, the largest that is
-# left as it is, and that of one which is slowed down. Bent arms diverged from 0.88 on.
+# Phases of an axial vibration in a step [rad]: above which a finer run has it critically damped,
+# above which a scene has it slowed down (bent arms diverged from 0.88 on), and to which.
 AXIAL_PHASE, _LEFT, _SLOWED = 4.0, 0.7, 0.5
 _OF_MATERIAL = 'density', 'young_modulus', 'shear_modulus'
 _MODAL = 'initial.modal_coordinates', 'initial.modal_rates'
@@ -156,8 +156,9 @@ class Scene:
 
     @cached_property
     def fastest_shape(self) -> float:
-        """The same of static shapes if the arm is soft in shear, so that these have no mass."""
-        if not self.static or not self.step or not _soft_in_shear(self.manipulator.arm):
+        """The same of static shapes of an arm soft in shear, in `exact` [rad/s]."""
+        if (not self.static or not self.step or self.values['model.formulation'] != 'exact'
+                or not _soft_in_shear(self.manipulator.arm)):
             return math.inf
         limit, goal = (_SHEAR_PHASE, _SHEAR_PHASE) if 'shear' in self.static else (
             AXIAL_PHASE, _SLOWED)
