@@ -13,7 +13,6 @@ import warnings
 
 import numpy as np
 
-from benchmark import ROOT
 from benchmark.report import parser, table
 from oracles import spectral_elements
 import timo_sim
@@ -63,7 +62,7 @@ SCENES = [
     ('soft, spun up to 10 rad/s', spun_up(10.0, 1.0, **SOFT), 2.0, 8, (0.005, 0.001)),
     ('soft, starts at 10 rad/s', {**HELD, **SOFT, 'initial.shaft_velocity': 10.0}, 2.0, 8,
      (0.005, 0.001)),
-    ('spin-up of Simo and Vu-Quoc', ROOT / 'config' / 'spin_up.yaml', 20.0, 5, (0.01, 0.005)),
+    ('spin-up of Simo and Vu-Quoc', timo_sim.load_scene('spin_up').values, 20.0, 5, (0.01, 0.005)),
 ]
 
 
