@@ -181,9 +181,8 @@ def test_a_wrong_model_is_a_warning():
     ({}, {'sensors': ['gyro']}, r'sensor.NAME.noise or .resolution is > 0, here .*, got .*gyro'),
     ({f'sensor.{name}.{kind}': 0.0 for name in ('encoder', 'root_strain')
       for kind in ('noise', 'resolution')}, {}, 'here none, got .none'),
-    ({}, {'sensors': ['encode']}, "sensors must be one of .*, encoder, got 'encode'"),
+    ({}, {'sensors': ['encode']}, "sensors must be one of .*, encoder, rotor, got 'encode'"),
     ({'motor.coulomb_friction': 0.1}, {}, 'friction that builds up over a speed'),
-    ({'model.axial_modes': 1}, {}, 'model.axial_modes must be 0'),
     ({'motor.shaft': 'locked'}, {}, 'where only the arm moves it must be given'),
     ({}, {'disturbance': {'torqu': (1.0, 1.0)}}, 'disturbance has torqu, .* you mean torque'),
     ({}, {'disturbance': {'torque': 1.0}}, 'time of a disturbance must be a list of'),

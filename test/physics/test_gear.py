@@ -357,12 +357,10 @@ def test_what_does_not_fit_together_is_refused(values, text):
 
 
 def test_what_a_gear_has_no_part_in():
-    """Modes of the arm at a speed of the shaft; derivatives of steps; a batch with rigid gears."""
+    """Modes of the arm at a speed of the shaft; a batch with rigid gears."""
     scene = timo_sim.load_scene({}, GEAR)
     rigid = scene.vary({name: 0.0 for name in GEAR if 'ratio' not in name})
     assert timo_sim.modes(scene, 5.0).frequency == pytest.approx(
         timo_sim.modes(rigid, 5.0).frequency, rel=1e-12)
-    with pytest.raises(timo_sim.ParameterError, match='motor.gear.stiffness must be 0 for deriv'):
-        timo_sim.Simulator(scene).step_derivatives()
     with pytest.raises(timo_sim.ParameterError, match='motor.gear.stiffness > 0 must be the same'):
         timo_sim.Batch([scene, rigid])

@@ -23,8 +23,9 @@ from numba.core.types import containers
 from numba.core.typing.templates import AttributeTemplate, infer_getattr, signature
 from numba.extending import typeof_impl
 
-from timo_sim.compiled import functions
+from timo_sim.compiled import duals, functions
 from timo_sim.compiled.constants import fields_of, local_arrays
+from timo_sim.compiled.duals import Constant, Dual, dual_of
 from timo_sim.compiled.functions import Array, Constants, Declaration, Function
 from timo_sim.compiled.lanes import (
     infer, LANES, MASK, represent, SHARED, spread, VECTOR, WIDTH)
@@ -49,7 +50,7 @@ class View(types.Type):
 
 
 class Block(types.Type):
-    """Constants of a kind; `number` is the type of their floats: float64, SHARED or LANES."""
+    """Constants of a kind; `number` is that of their floats: float64, SHARED, LANES, Constant."""
 
     def __init__(self, kind: type, number: Any) -> None:
         self.kind, self.number = kind, number
@@ -67,8 +68,21 @@ class Blocks(types.Type):
 
 def _stored(number):
     # The type of a number in memory.
-    return {types.float64: ir.DoubleType(), SHARED: ir.DoubleType(), LANES: VECTOR}.get(
-        number, _WORD)
+    if isinstance(number, Dual):
+        return ir.ArrayType(ir.DoubleType(), number.size)
+    return VECTOR if number == LANES else _WORD if number == types.int64 else ir.DoubleType()
+
+
+def _loaded(number):
+    # The type of a number that is loaded.
+    return types.float64 if isinstance(number, Constant) else number
+
+
+def _working(*numbers):
+    # The type of numbers in work arrays beside others.
+    if any(number in (LANES, SHARED) for number in numbers):
+        return LANES
+    return dual_of(*numbers) or types.float64
 
 
 represent(View, lambda view: _stored(view.element).as_pointer())
@@ -91,6 +105,8 @@ def _length(builder, dim):
 
 
 def _load(builder, place, number):
+    if isinstance(number, Dual):
+        return duals.load(builder, place, number)
     value = builder.load(place)
     value.align = 8
     if number == SHARED:
@@ -111,7 +127,7 @@ class _BlockFields(AttributeTemplate):
         if field is None:
             return None
         number = _number_of(block, field)
-        return View(number, field.dims) if field.dims else number
+        return View(number, field.dims) if field.dims else _loaded(number)
 
 
 @lower_getattr_generic(Block)
@@ -132,9 +148,17 @@ class _ViewFields(AttributeTemplate):
         return containers.UniTuple(types.intp, len(view.dims))
 
 
+def _length_in_loops(builder, view, axis=0):
+    # Duals need no vectors, and leave out what is padded.
+    dim = view.dims[axis]
+    padded = isinstance(dim, str) and dual_of(view.element)
+    return _length(builder, dim.removeprefix('padded_') if padded else dim)
+
+
 @lower_getattr_generic(View)
 def _shape(context, builder, view, pointer, name):
-    return cgutils.pack_array(builder, [_length(builder, dim) for dim in view.dims])
+    return cgutils.pack_array(builder, [
+        _length_in_loops(builder, view, axis) for axis in range(len(view.dims))])
 
 
 @infer(len)
@@ -144,7 +168,7 @@ def _infer_len(array):
 
 @lower_builtin(len, View)
 def _len(context, builder, sig, arguments):
-    return _length(builder, sig.args[0].dims[0])
+    return _length_in_loops(builder, sig.args[0])
 
 
 def _indices(index):
@@ -160,7 +184,7 @@ def _infer_get_item(array, index):
     if not isinstance(array, View):
         return None
     rest = array.dims[len(_indices(index)):]
-    return signature(View(array.element, rest) if rest else array.element, array, index)
+    return signature(View(array.element, rest) if rest else _loaded(array.element), array, index)
 
 
 @infer(operator.setitem)
@@ -208,15 +232,17 @@ def _get_shared_block(context, builder, sig, arguments):
 def _set_item(context, builder, sig, arguments):
     view, index, _ = sig.args
     place = _place(context, builder, view, arguments[0], index, arguments[1])
-    builder.store(arguments[2], place).align = 8
+    if isinstance(view.element, Dual):
+        duals.store(builder, arguments[2], place)
+    else:
+        builder.store(arguments[2], place).align = 8
 
 
 # Functions of `functions`.
 
 @infer(functions.local)
 def _infer_local(like):
-    lanes = any(view.element in (LANES, SHARED) for view in like)
-    return signature(View(LANES if lanes else types.float64,
+    return signature(View(_working(*(view.element for view in like)),
                           tuple(view.dims[0] for view in like)), like)
 
 
@@ -237,8 +263,7 @@ def _allocate(builder, view):
 
 @infer(local_arrays)
 def _infer_local_arrays(kind, like):
-    number = types.float64 if like.number == types.float64 else LANES
-    views = [View(number, field.dims) for field in fields_of(kind.instance_class)]
+    views = [View(_working(like.number), field.dims) for field in fields_of(kind.instance_class)]
     return signature(containers.BaseTuple.from_types(views, kind.instance_class), kind, like)
 
 
@@ -252,9 +277,14 @@ def _define_intrinsic(function, name):
     """Define a function of floats and lanes as an intrinsic function of LLVM."""
     @infer(function)
     def _infer_call(value):
+        if isinstance(value, Dual) and function is not functions.floor:
+            return signature(value, value)
         return signature(LANES if value in (LANES, SHARED) else types.float64, value)
 
-    @lower_builtin(function, types.Any)
+    @lower_builtin(function, types.Float)
+    @lower_builtin(function, types.Integer)
+    @lower_builtin(function, type(LANES))
+    @lower_builtin(function, type(SHARED))
     def _call(context, builder, sig, arguments):
         value = context.cast(builder, arguments[0], sig.args[0], sig.return_type)
         suffix = f'v{WIDTH}f64' if sig.return_type == LANES else 'f64'
@@ -271,13 +301,45 @@ _define_intrinsic(functions.square_root, 'sqrt')
 @infer(functions.where)
 def _infer_where(condition, yes, no):
     lanes = any(kind in (LANES, SHARED, MASK) for kind in (condition, yes, no))
-    result = LANES if lanes else types.float64
+    result = LANES if lanes else dual_of(yes, no) or types.float64
     return signature(result, condition, result, result)
 
 
 @lower_builtin(functions.where, types.Any, types.Any, types.Any)
 def _where(context, builder, sig, arguments):
     return builder.select(*arguments)
+
+
+@infer(functions.value_of)
+def _infer_value_of(number):
+    return signature(types.float64 if isinstance(number, Dual) else number, number)
+
+
+@infer(functions.chain)
+def _infer_chain(value, slope, number):
+    return signature(dual_of(number) or value, value, slope, number)
+
+
+@lower_builtin(functions.value_of, types.Any)
+@lower_builtin(functions.chain, types.Any, types.Any, types.Any)
+def _first(context, builder, sig, arguments):
+    return arguments[0]
+
+
+@infer(functions.with_derivatives)
+def _infer_with_derivatives(array):
+    return signature(View(types.float64, (*array.dims, array.element.size)), array)
+
+
+@infer(functions.without_derivatives)
+def _infer_without_derivatives(constants):
+    return signature(Block(constants.kind, types.float64), constants)
+
+
+@lower_builtin(functions.with_derivatives, View)
+@lower_builtin(functions.without_derivatives, Block)
+def _as_floats(context, builder, sig, arguments):
+    return builder.bitcast(arguments[0], context.get_value_type(sig.return_type))
 
 
 @infer(functions.some)
@@ -324,8 +386,15 @@ def _all_as_vectors(context, builder, sig, arguments):
 
 @infer(functions.sum_of)
 def _infer_sum_of(vector, like):
+    if dual_of(like.element):
+        return signature(vector, vector, like)
     lanes = like.element in (LANES, SHARED)
     return signature(LANES if lanes else types.float64, LANES, like)
+
+
+@lower_builtin(functions.sum_of, types.Any, View)
+def _alone(context, builder, sig, arguments):
+    return arguments[0]
 
 
 @lower_builtin(functions.sum_of, LANES, View)
@@ -404,15 +473,16 @@ target_extension.jit_registry[_AnyProcessor] = _compile_for_numba
 
 
 class _Choice(_Compiler):
-    """The dispatcher of a `Declaration`: it chooses a body by the kind of the first argument."""
+    """The dispatcher of a `Declaration`: it chooses a body by the type of the first argument."""
 
     declaration: Declaration
 
     def _body(self, args):
-        kind = getattr(args[0], 'kind', None)
-        if kind not in self.declaration.bodies:
+        kind, bodies = getattr(args[0], 'kind', None), self.declaration.bodies
+        if kind not in bodies:
             raise TypeError(f'{self.declaration.__name__} has no body for {args[0]}')
-        return _compiler_of(self.declaration.bodies[kind])
+        of_duals = bodies.get((kind, 'duals')) if dual_of(args[0].number) else None
+        return _compiler_of(of_duals or bodies[kind])
 
     def get_call_template(self, args: Any, kws: Any) -> Any:
         return self._body(args).get_call_template(args, kws)
@@ -444,7 +514,7 @@ def _typeof(function, _):
 def _type_of(argument, kind):
     if isinstance(argument, Constants):
         number = {'floats': types.float64, 'shared': SHARED, 'lanes': LANES}[argument.form]
-        block = Block(kind, number)
+        block = Block(kind, Constant(argument.duals) if argument.duals else number)
         return Blocks(block) if argument.form == 'lanes' else block
     if isinstance(argument, Array):
         number = LANES if argument.lanes else types.int64 if argument.whole else types.float64

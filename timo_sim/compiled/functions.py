@@ -35,18 +35,21 @@ class Declaration(Function):
     """
     A function whose body is chosen, when it is compiled, by the kind of its first argument.
 
-    `@declared.of(Kind)` registers the body for constants of a kind.
+    `@declared.of(Kind)` registers the body for constants of a kind; with `duals` one that takes
+    its place for duals.
     """
 
     def __init__(self, function: Callable) -> None:
         super().__init__(function)
-        self.bodies: dict[type, Function] = {}
+        self.bodies: dict[Any, Function] = {}
 
-    def of(self, kind: type, merge: bool = False) -> Callable[[Callable], Function]:
+    def of(self, kind: type, merge: bool = False,
+           duals: bool = False) -> Callable[[Callable], Function]:
         """Return a decorator that registers the body for constants of a kind, see `Function`."""
         def add(function: Callable) -> Function:
-            self.bodies[kind] = Function(function, merge=merge)
-            return self.bodies[kind]
+            made = self.bodies[(kind, 'duals') if duals else kind] = Function(
+                function, merge=merge)
+            return made
         return add
 
 
@@ -74,10 +77,12 @@ class Constants(NamedTuple):
     An argument of an entry point: packed constants.
 
     Their form is 'floats'; 'shared', floats that are the same for all lanes; or 'lanes', one block
-    of lanes for each group of them. Of the latter two, `constants[g]` are those of group g.
+    of lanes for each group of them. Of the latter two, `constants[g]` are those of group g. If
+    `duals` > 0, they are floats beside duals of that size.
     """
 
     form: str = 'floats'
+    duals: int = 0
 
 
 # Functions that compiled functions call; `emit` gives them their code. Here they are as Python
@@ -135,3 +140,23 @@ def where(condition: Any, yes: Any, no: Any) -> Any:
 def some(condition: Any) -> Any:
     """Return whether a condition holds, in any lane."""
     return condition
+
+
+def value_of(number: Any) -> Any:
+    """Return a number without its derivatives."""
+    return number
+
+
+def chain(value: Any, slope: Any, number: Any) -> Any:
+    """Return a value with the derivatives of a number, if it has some, times a slope."""
+    return value
+
+
+def with_derivatives(array: Any) -> Any:
+    """Return an array of duals as one of floats: the last axis has a number and derivatives."""
+    return array
+
+
+def without_derivatives(constants: Any) -> Any:
+    """Return constants beside duals as those of a function of floats."""
+    return constants

@@ -28,13 +28,13 @@ from numba.extending import lower_builtin, lower_cast
 from timo_sim.compiled.functions import WIDTH
 
 VECTOR = ir.VectorType(ir.DoubleType(), WIDTH)
-_FUSED = f'llvm.fmuladd.v{WIDTH}f64'
 # The sign of zero may change. Operations without flags would get numba's fast-math flags, which
 # allow reordering.
 _FLAGS = ('nsz',)
 
 
-def _is_number(kind):
+def is_number(kind: types.Type) -> bool:
+    """Return whether a type is that of a float or a whole number."""
     return isinstance(kind, (types.Float, types.Integer))
 
 
@@ -45,10 +45,10 @@ class _Lanes(types.Type):
         super().__init__(f'Lanes({WIDTH})')
 
     def unify(self, context, other):
-        return LANES if _is_number(other) or other == SHARED else None
+        return LANES if is_number(other) or other == SHARED else None
 
     def can_convert_from(self, context, other):
-        return Conversion.safe if _is_number(other) else None
+        return Conversion.safe if is_number(other) else None
 
 
 class _Shared(types.Type):
@@ -58,7 +58,7 @@ class _Shared(types.Type):
         super().__init__(f'Shared({WIDTH})')
 
     def unify(self, context, other):
-        return LANES if _is_number(other) or other == LANES else None
+        return LANES if is_number(other) or other == LANES else None
 
     def can_convert_to(self, context, other):
         return Conversion.safe if other == LANES else None
@@ -101,12 +101,12 @@ def infer(function: Any) -> Callable[[Callable[..., Any]], None]:
     return register
 
 
-def spread(builder: ir.IRBuilder, value: ir.Value) -> ir.Value:
-    """Return a vector with the same float in all lanes."""
-    nothing, index = ir.Constant(VECTOR, ir.Undefined), ir.IntType(32)
+def spread(builder: ir.IRBuilder, value: ir.Value, vector: ir.VectorType = VECTOR) -> ir.Value:
+    """Return a vector with the same float in all places."""
+    nothing, index = ir.Constant(vector, ir.Undefined), ir.IntType(32)
     single = builder.insert_element(nothing, value, ir.Constant(index, 0))
-    return builder.shuffle_vector(single, nothing,
-                                  ir.Constant(ir.VectorType(index, WIDTH), [0] * WIDTH))
+    return builder.shuffle_vector(single, nothing, ir.Constant(
+        ir.VectorType(index, vector.count), vector.count * [0]))
 
 
 @lower_cast(types.Float, LANES)
@@ -125,7 +125,7 @@ def _define(operators, kinds, result, generate):
     def signature_for(*given):
         ours = any(kind in (LANES, SHARED, MASK) for kind in given)
         return signature(result, *kinds) if ours and len(given) == len(kinds) and all(
-            kind == wanted or wanted == LANES and (kind == SHARED or _is_number(kind))
+            kind == wanted or wanted == LANES and (kind == SHARED or is_number(kind))
             for kind, wanted in zip(given, kinds)) else None
 
     for each in operators:
@@ -138,33 +138,42 @@ def _is_product(value):
     return getattr(value, 'opname', None) == 'fmul'
 
 
-def _add(builder, a, b):
-    # A product is fused with the sum where the processor can do that. The choice is made here, by
-    # the source alone, so that it does not depend on what else the optimiser sees.
+# Sums and products of vectors of any length.
+
+def add(builder: ir.IRBuilder, a: ir.Value, b: ir.Value) -> ir.Value:
+    """
+    Return a sum, with which a product is fused where the processor can do that.
+
+    The choice is made here, by the source alone, so that it does not depend on what else the
+    optimiser sees.
+    """
     if _is_product(a) and not _is_product(b):
         a, b = b, a
     if not _is_product(b):
         return builder.fadd(a, b, flags=_FLAGS)
     fused = cgutils.get_or_insert_function(
-        builder.module, ir.FunctionType(VECTOR, 3 * [VECTOR]), _FUSED)
+        builder.module, ir.FunctionType(a.type, 3 * [a.type]),
+        f'llvm.fmuladd.v{a.type.count}f64')
     return builder.call(fused, [*b.operands, a])
 
 
-def _subtract(builder, a, b):
+def subtract(builder: ir.IRBuilder, a: ir.Value, b: ir.Value) -> ir.Value:
+    """Return a difference, fused as a sum is."""
     if _is_product(b):
-        return _add(builder, a, _multiply(builder, builder.fneg(b.operands[0]), b.operands[1]))
+        return add(builder, a, multiply(builder, builder.fneg(b.operands[0]), b.operands[1]))
     if _is_product(a):
-        return _add(builder, a, builder.fneg(b))
+        return add(builder, a, builder.fneg(b))
     return builder.fsub(a, b, flags=_FLAGS)
 
 
-def _multiply(builder, a, b):
+def multiply(builder: ir.IRBuilder, a: ir.Value, b: ir.Value) -> ir.Value:
+    """Return a product."""
     return builder.fmul(a, b, flags=_FLAGS)
 
 
 def _define_arithmetic():
     for name, generate in (
-            ('add', _add), ('sub', _subtract), ('mul', _multiply),
+            ('add', add), ('sub', subtract), ('mul', multiply),
             ('truediv', lambda builder, a, b: builder.fdiv(a, b, flags=_FLAGS))):
         _define((getattr(operator, name), getattr(operator, f'i{name}')), (LANES, LANES), LANES,
                 generate)

@@ -14,7 +14,7 @@ from numpy.typing import ArrayLike
 
 from timo_sim.model.formulation import PointsOfArm
 from timo_sim.model.layout import INPUTS, Motion
-from timo_sim.runs.linear import difference_steps, state_names, state_places
+from timo_sim.runs.linear import difference_steps, state_names
 from timo_sim.scene.parameters import (
     checked, MAPPING, Parameter, ParameterError, short, TEXTS, warn, whole_ratio)
 from timo_sim.scene.scene import load_scene, SceneLike
@@ -25,8 +25,7 @@ from timo_sim.simulation.snapshot import Joints, variance
 from timo_sim.simulation.warnings import DivergenceError
 from timo_sim.topics.outputs import SENSORS
 
-# Steps of scenes with an elastic gear have no derivatives.
-_SENSORS = {sensor.name: sensor for sensor in SENSORS if not sensor.of_gear}
+_SENSORS = {sensor.name: sensor for sensor in SENSORS}
 # Of a disturbance that is not given: the strain at the root by it, and the part of dry friction.
 _STRAIN, _OF_FRICTION = 1e-5, 0.5
 _FIRST_ANGLE = 0.01    # deviation of shaft and sections at first [rad]
@@ -101,7 +100,8 @@ class Observer(Stateful, PointsOfArm):
         if reason := why_not_differentiable(scene):
             raise ParameterError(reason)
         self._values, model = dict(scene.values), scene.build()
-        noisy = [name for name in _SENSORS if variance(scene.values, name)]
+        noisy = [name for name, sensor in _SENSORS.items() if variance(scene.values, name)
+                 and (model.gear or not sensor.of_gear)]
         self.sensors = tuple(noisy if sensors is None else sensors)
         for name in self.sensors:
             replace(_NAME, name='sensors').check(name)
@@ -118,7 +118,7 @@ class Observer(Stateful, PointsOfArm):
         columns = [np.ravel(ARGUMENTS[name]) for name in pairs]
         self._inputs, self._unit = [*pairs], unit_loads(scene.values, pairs)
         self._deviations, self._times = np.repeat([*pairs.values()], [*map(len, columns)], 0).T
-        self._places, self._steps = state_places(model), difference_steps(model)
+        self._places, self._steps = model.free_places, difference_steps(model)
         self.states = (*state_names(model), *(
             f'disturbance_{INPUTS[column].column}' for column in np.concatenate(columns)))
         # A factor of the covariance.

@@ -25,7 +25,7 @@ from timo_sim.simulation.loads import Actuators
 from timo_sim.steps import friction
 from timo_sim.steps import instance as steps
 from timo_sim.steps.bristles import MEMORY
-from timo_sim.steps.derivatives import differentiate, inputs_of
+from timo_sim.steps.derivatives import entry_for
 from timo_sim.steps.etdrk4 import advance
 from timo_sim.steps.instance import Code, Instance, KNOWN, LOST, MAGIC, PART, SAVED
 
@@ -59,8 +59,9 @@ class _Model:
         self.tables, self.actuators = model.packed, Actuators(scene.values).packed
         self.joints = getattr(simulator.integration, 'joints', None)
         # What steps are differentiated by, if they are.
-        unit = unit_loads_of(scene.values, [each.column for each in interface.inputs])
-        self.inputs = None if why_not_differentiable(scene) else inputs_of(unit, model.size)
+        self.differentiate, self.places = entry_for(model), model.free_places
+        self.units = None if why_not_differentiable(scene) else unit_loads_of(
+            scene.values, [each.column for each in interface.inputs])
         outputs = steps.MODAL + 2 * len(model.modes) + 1
         self.instance = pack(Instance._make([
             np.zeros(5), *3 * [np.zeros(LOADS)], *2 * [np.zeros(MEMORY)], *2 * [np.zeros(1)],
@@ -387,7 +388,7 @@ class _Body:
 
     def derivatives(self):
         own = self.models[0]
-        if own.inputs is None:
+        if own.units is None:
             return
         instance, values = self.public('step_derivatives', _POINTER)
         # The step is not done, so its commands begin no lines: actuators are as before.
@@ -396,9 +397,13 @@ class _Body:
         self.copy(actuators, own.actuators.length, kept)
         self.call(own, instance, steps.prepare, self.field(own, instance, 'inputs'))
         self.copy(kept, own.actuators.length, actuators)
-        self.call(own, instance, differentiate,
+        places, units = (self.content(name, each.tobytes(), align=64) for name, each in (
+            ('places', own.places), ('units', own.units)))
+        self.call(own, instance, own.differentiate, places,
                   *(self.field(own, instance, name) for name in ('state', 'load', 'loads')),
-                  self.word(1), values, **self.constants_of_step(own, instance))
+                  self.word(1), units, self.word(len(own.units)),
+                  self.field(own, instance, 'before'), values,
+                  **self.constants_of_step(own, instance))
         self.finish()
 
     def outputs(self):
@@ -496,4 +501,4 @@ def library(simulators: list[Any], interface: Interface, target: str, name: str)
             function.linkage = 'internal'
     return Library(target_machine.emit_object(module), body.size,
                    sum(model.saved for model in models),
-                   simulators[0].model.size if models[0].inputs else 0)
+                   0 if models[0].units is None else simulators[0].model.size)

@@ -19,7 +19,8 @@ import numpy as np
 
 from timo_sim.compiled.constants import local_arrays
 from timo_sim.compiled.functions import (
-    as_vectors, floor, inner, local, separate, some, sum_of, where)
+    as_vectors, chain, declare, floor, inner, local, some, sum_of, value_of, where,
+    with_derivatives, without_derivatives)
 from timo_sim.model import functions
 from timo_sim.model.functions import sincos
 from timo_sim.model.layout import (
@@ -95,12 +96,14 @@ class Work(NamedTuple):
     c2: Annotated[np.ndarray, 'coordinates', 'padded_nodes']
     image_1: Annotated[np.ndarray, 'coordinates', 'padded_nodes']  # K C1, K C2 (T26)
     image_2: Annotated[np.ndarray, 'coordinates', 'padded_nodes']
+    g1: Annotated[np.ndarray, 'padded_nodes']  # K a', K b' beside duals
+    g2: Annotated[np.ndarray, 'padded_nodes']
 
 
 # Slopes of the centre line and their derivatives, (T22) to (T24).
 
 @inner
-def set_slopes(tables, state, load, work):
+def _set_slopes(tables, state, load, work):
     """Set q, cosine and sine of phi, a, b (T23), C1 and C2 (T24)."""
     a, b, c1, c2, cosine, sine = work.a, work.b, work.c1, work.c2, work.cosine, work.sine
     coordinate = work.coordinate
@@ -128,15 +131,83 @@ def set_slopes(tables, state, load, work):
 
 # Mass matrix and speeds, (T26) and (T31).
 
-@separate
+@declare
 def _set_speed(tables, state, load, numbers, work):
-    """Do what `solve_for_speed` does; L and D stay in registers."""
+    """Do what `_solve_for_speed` does."""
+
+
+@_set_speed.of(Tables)
+def _set_speed_of_floats(tables, state, load, numbers, work):
+    """Do so; L and D stay in registers."""
     mass, inverse = local((tables.rotary, tables.rotary)), local((tables.rotary,))
-    solve_for_speed(tables, state, load, numbers, work, mass, inverse)
+    _solve_for_speed(tables, state, load, numbers, work, mass, inverse)
+
+
+@_set_speed.of(Tables, duals=True)
+def _set_speed_of_duals(tables, state, load, numbers, work):
+    """
+    Set q' and (g1, g2) = K (a', b'), with M factorised once, as floats (T39).
+
+    By each direction d it is M q'_d = p_d - M_d q', where M q' = Xi q' + C1 g1 + C2 g2.
+    """
+    if len(tables.linear_rate):
+        mass, inverse = local((tables.rotary, tables.rotary)), local((tables.rotary,))
+        _solve_for_speed(tables, state, load, numbers, work, mass, inverse)
+        for j in range(len(work.g1)):
+            work.g1[j], work.g2[j] = _momenta_of_images(tables, work, j)
+        return
+    floats, kernel = without_derivatives(tables), tables.kernel
+    alone, mass, inverse = (local_arrays(Work, floats), local((floats.rotary, floats.rotary)),
+                            local((floats.rotary,)))
+    c1, c2, g1, g2, speed = work.c1, work.c2, work.g1, work.g2, work.speed
+    count, nodes = c1.shape
+    driven, momenta = count - len(tables.straight), 2 * half_length(tables) - count
+    # The numbers alone, with q' and the images K C.
+    vectors = as_vectors(alone)
+    for i in range(count):
+        for j in range(vectors.c1.shape[1]):
+            vectors.c1[i, j], vectors.c2[i, j] = 0.0, 0.0
+        for j in range(nodes):
+            alone.c1[i, j], alone.c2[i, j] = value_of(c1[i, j]), value_of(c2[i, j])
+    values, loads = local((with_derivatives(state),)), local((with_derivatives(load),))
+    for i in range(len(values)):
+        values[i] = value_of(state[i])
+    loads[SPEED] = value_of(load[SPEED])
+    _solve_for_speed(floats, values, loads, alone, vectors, mass, inverse)
+
+    a, b = local((tables.to_centre,)), local((tables.to_centre,))
+    for j in range(nodes):
+        a[j], b[j] = 0.0, 0.0
+        for i in range(count):
+            a[j] += alone.speed[i] * c1[i, j]
+            b[j] += alone.speed[i] * c2[i, j]
+    for j in range(nodes):
+        g1[j], g2[j] = 0.0, 0.0
+        for k in range(nodes):
+            g1[j] += kernel[0, k, j] * a[k]
+            g2[j] += kernel[len(kernel) - 1, k, j] * b[k]
+    speed[0] = load[SPEED]
+    for i in range(driven, count):
+        speed[i] = state[momenta + i]
+        for j in range(count):
+            speed[i] -= tables.rotary[i, j] * alone.speed[j]
+        for k in range(nodes):
+            speed[i] -= c1[i, k] * g1[k] + c2[i, k] * g2[k]
+        for k in range(driven, i):
+            speed[i] -= mass[i, k] * speed[k]
+    for i in range(count - 1, driven - 1, -1):
+        speed[i] *= inverse[i]
+        for k in range(i + 1, count):
+            speed[i] -= mass[k, i] * speed[k]
+    for i in range(driven, count):
+        for j in range(nodes):
+            g1[j] += alone.image_1[i, j] * speed[i]
+            g2[j] += alone.image_2[i, j] * speed[i]
+        speed[i] = chain(alone.speed[i], 1.0, speed[i])
 
 
 @inner
-def solve_for_speed(tables, state, load, numbers, work, mass, inverse):
+def _solve_for_speed(tables, state, load, numbers, work, mass, inverse):
     """
     Set the images K C1, K C2 and q', the solution of M q' = p (T26), (T31).
 
@@ -196,16 +267,6 @@ def solve_for_speed(tables, state, load, numbers, work, mass, inverse):
             speed[i] -= mass[k, i] * speed[k]
 
 
-@inner
-def copy_factors(tables, mass, inverse, work):
-    """Copy L and 1/D of the mass matrix to `factors`."""
-    count = len(work.speed)
-    for i in range(count - len(tables.straight), count):
-        for j in range(i):
-            work.factors[i, j] = mass[i, j]
-        work.factors[i, i] = inverse[i]
-
-
 # A force on the arm. For every x, x + -0.0 is x: without one the compiler removes these sums.
 
 @inner
@@ -218,7 +279,7 @@ def _push_force(tables, load):
 
 
 @inner
-def push_work(tables, load, j):
+def _push_work(tables, load, j):
     """Return what this force adds to the forces against the slopes at nodes j, in x and y."""
     push = as_vectors(tables.push)
     x, y = -0.0, -0.0
@@ -283,6 +344,25 @@ def _translate(tables, state, load, work, out):
 
 # Forces on the coordinates, (T28), (T29), (T32).
 
+@declare
+def _momenta_of_slopes(tables, work, j):
+    """Return (g1, g2) = K (a', b') at nodes j."""
+
+
+@_momenta_of_slopes.of(Tables, merge=True)
+def _momenta_of_images(tables, work, j):
+    g1, g2 = 0.0, 0.0
+    for i in range(len(work.speed)):
+        g1 += work.speed[i] * work.image_1[i, j]
+        g2 += work.speed[i] * work.image_2[i, j]
+    return g1, g2
+
+
+@_momenta_of_slopes.of(Tables, merge=True, duals=True)
+def _momenta_that_are_set(tables, work, j):
+    return work.g1[j], work.g2[j]
+
+
 @inner
 def _set_moments(tables, load, torque, forces, work, script_a, script_b):
     """
@@ -299,18 +379,15 @@ def _set_moments(tables, load, torque, forces, work, script_a, script_b):
     push_x, push_y, tip_x, tip_y = forces
     moment = 0.0
     for j in range(len(to_centre)):
-        g1 = 0.0
-        g2 = 0.0
+        g1, g2 = _momenta_of_slopes(tables, work, j)
         turning = 0.0
         shearing = 0.0
         for i in range(len(speed)):
-            g1 += speed[i] * work.image_1[i, j]
-            g2 += speed[i] * work.image_2[i, j]
             turning += speed[i] * rotation[i, j]
             shearing += speed[i] * shear[i, j]
         along = cosine[j] * g1 + sine[j] * g2
         # The force against the slope: -Q_i of (T28), (T32) is the sum of its products with C_i.
-        arm_x, arm_y = push_work(tables, load, j)
+        arm_x, arm_y = _push_work(tables, load, j)
         force_x = to_centre[j] * push_x - to_tip[j] * tip_x + arm_x
         force_y = to_centre[j] * push_y - to_tip[j] * tip_y + arm_y
         script_a[j] = force_x * b[j] - force_y * a[j]
@@ -325,14 +402,8 @@ def _rate(tables, state, load, out):
     """Write the state's rate less its linear part."""
     numbers = local_arrays(Work, tables)
     work = as_vectors(numbers)
-    set_slopes(tables, state, load, work)
+    _set_slopes(tables, state, load, work)
     _set_speed(tables, state, load, numbers, work)
-    write_rate(tables, state, load, work, out)
-
-
-@inner
-def write_rate(tables, state, load, work, out):
-    """Write what `rate` does, where slopes and speeds are set; return what `_translate` does."""
     rows, across = tables.rotation, tables.to_centre
     rotation, shear = as_vectors(rows), as_vectors(tables.shear)
     count, nodes = rotation.shape
@@ -375,7 +446,6 @@ def write_rate(tables, state, load, work, out):
                                      + _without_contact(tables, work, place))
     _add_stretch_forces(tables, load, torque, on_rotor, forces, work, out)
     _subtract_turning(tables, state, out)
-    return forces
 
 
 # An elastic gear (T60) to (T62); without one the torque on the rotor is that on the shaft.
@@ -433,7 +503,7 @@ def _observe(tables, state, load, out):
     rows, across = tables.rotation, tables.to_centre
     numbers = local_arrays(Work, tables)
     work = as_vectors(numbers)
-    set_slopes(tables, state, load, work)
+    _set_slopes(tables, state, load, work)
     _set_speed(tables, state, load, numbers, work)
     to_centre, half = as_vectors(across), len(out) // 2
     for i in range(len(rows)):
@@ -653,7 +723,10 @@ def _take_rates_of_state(tables, state, mass, inverse, work):
         return
     count = len(work.speed)
     rates_from = count - len(tables.linear_rate)
-    copy_factors(tables, mass, inverse, work)
+    for i in range(count - len(tables.straight), count):
+        for j in range(i):
+            work.factors[i, j] = mass[i, j]
+        work.factors[i, i] = inverse[i]
     for i in range(rates_from, count):
         work.speed[i] = state[2 * half_length(tables) - count + i]
         for j in range(rates_from, i):
@@ -704,7 +777,7 @@ def _add_stretch_forces(tables, load, torque, on_rotor, forces, work, out):
         added = 0.0
         for j in range(nodes):
             added += rotation[i, j] * added_a[j]
-            arm_x, arm_y = push_work(tables, load, j)
+            arm_x, arm_y = _push_work(tables, load, j)
             force_x = to_tip[j] * tip_x - to_centre[j] * push_x - arm_x
             force_y = to_tip[j] * tip_y - to_centre[j] * push_y - arm_y
             done += (force_x * c1[i, j] + force_y * c2[i, j] - image_1[i, j] * a_2[j]

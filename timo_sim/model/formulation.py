@@ -165,6 +165,12 @@ class Formulation(ABC):
         """Place of the gear's coordinate, its twist times `sqrt(J_r)`, in a motion (T60)."""
         return self.size // 2 - self.axial - 1
 
+    @cached_property
+    def free_places(self) -> np.ndarray:
+        """Places of the free coordinates and their rates in a motion, shape (m,)."""
+        free = np.array([*self.axes, *range(2 + self.driven, self.size // 2)], dtype=np.int64)
+        return np.concatenate([free, self.size // 2 + free])
+
     def linear_parts(self, step: float) -> dict[int | None, Any]:
         """Return the dict in which all `Steps` of a length [s] share their linear parts."""
         return self._linear_parts.setdefault(step, {})

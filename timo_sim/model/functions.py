@@ -16,7 +16,7 @@ import numpy as np
 from timo_sim.compiled.constants import local_arrays
 from timo_sim.compiled.entry import entry_point
 from timo_sim.compiled.functions import (
-    Array, Constants, declare, floor, inner, magnitude, some, strict, where)
+    Array, chain, Constants, declare, floor, inner, magnitude, some, strict, value_of, where)
 from timo_sim.model.layout import ACCELERATION, ANGLE, LOADS, MOTOR_FRICTION, SPEED, TORQUE
 
 
@@ -42,12 +42,6 @@ def copy(vector, out):
 
 
 @inner
-def add_multiple(factor, vector, out):
-    for i in range(len(out)):
-        out[i] += factor * vector[i]
-
-
-@inner
 def coulomb(tables, joint, speed):
     """Return the Coulomb friction against a speed of carrier, joint 0, shaft, 1, or rotor, 2."""
     friction = 0.0
@@ -55,17 +49,6 @@ def coulomb(tables, joint, speed):
         share = tanh(speed / tables.coulomb[joint, 1])
         friction = tables.coulomb[joint, 0] * share * (1.0 + tables.coulomb[joint, 2] * share)
     return friction
-
-
-@inner
-def coulomb_slope(tables, joint, speed):
-    """Return the derivative of `coulomb` by the speed."""
-    slope = 0.0
-    if some(tables.coulomb[joint, 0] != 0.0):
-        share = tanh(speed / tables.coulomb[joint, 1])
-        slope = tables.coulomb[joint, 0] / tables.coulomb[joint, 1] * (1.0 - share * share) * (
-            1.0 + 2.0 * tables.coulomb[joint, 2] * share)
-    return slope
 
 
 @inner
@@ -89,43 +72,6 @@ def motor_effort(tables, load, speed):
         most = where(load[TORQUE] > 0.0, load[TORQUE], 0.0)
         torque = where(torque < least, least, where(torque > most, most, torque))
     return torque
-
-
-@inner
-def is_limited(tables, load, speed):
-    """Return 1 where the current of the motor is at its limit, else 0."""
-    found = 0.0
-    for n in range(len(tables.motor_limit)):
-        wanted = load[TORQUE] - tables.motor_limit[n, 1] * speed
-        found = where(magnitude(wanted) > tables.motor_limit[n, 0], 1.0, 0.0)
-    return found
-
-
-@declare
-def differential(tables, inputs, point, load, rate):
-    """
-    Write what `rate` writes, and to first order what changes of state and load change of it.
-
-    Parameters
-    ----------
-    tables, load
-        As in `rate`.
-    inputs : packed constants
-        `steps.derivatives.Inputs`.
-    point, rate : steps.derivatives.Point
-        The state with its changes; they get the rate.
-
-    """
-
-
-@declare
-def state_by_motion(tables, state, load, out):
-    """Write the derivatives of the state by a motion's numbers from the shaft on; zeros stay."""
-
-
-@declare
-def motion_by_state(tables, state, load, changes, out):
-    """Write changes of the motion by those of the state, a column for each; zeros stay."""
 
 
 @declare
@@ -285,10 +231,17 @@ def energies(tables, motions, gravity, count, out):
 _HIGH, _LOW = 1.57079632673412561417, 6.07710050650619224932e-11
 
 
-@strict
+@inner
 def sincos(angle):
+    """Return sine and cosine of an angle [rad]."""
+    sine, cosine = _sincos(value_of(angle))
+    return chain(sine, cosine, angle), chain(cosine, -sine, angle)
+
+
+@strict
+def _sincos(angle):
     """
-    Return sine and cosine of an angle [rad].
+    Return sine and cosine of an angle without derivatives.
 
     The angle is reduced to [-pi/4, pi/4]. Source of the polynomials there: fdlibm by Sun
     Microsystems, k_sin.c and k_cos.c.

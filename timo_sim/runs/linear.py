@@ -337,7 +337,7 @@ def state_matrix(model: Formulation, at: np.ndarray, load: np.ndarray,
     springs about rest. Also returns the derivatives of the state by them, and their places in a
     motion; shapes (m, m), (m, m), (m,).
     """
-    places = state_places(model)
+    places = model.free_places
     to_state = _jacobian(model, model.state, at, places)
     rest = _jacobian(model, lambda motion: model.rate(model.state(motion), load)
                      - model.linear @ model.state(motion), at, places)
@@ -355,12 +355,6 @@ def _solve(to_state, rates):
     found = np.linalg.solve(to_state, rates)
     found[np.abs(found) < _ROUND_OFF * (np.abs(np.linalg.inv(to_state)) @ np.abs(rates))] = 0.0
     return found
-
-
-def state_places(model: Formulation) -> np.ndarray:
-    """Return the places of the states of linear models in a motion, shape (m,)."""
-    free = np.array([*model.axes, *range(2 + model.driven, model.size // 2)], dtype=int)
-    return np.concatenate([free, model.size // 2 + free])
 
 
 def difference_steps(model: Formulation) -> np.ndarray:

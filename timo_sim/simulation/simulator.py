@@ -321,10 +321,11 @@ class Simulator(Stateful, PointsOfArm):
         """
         Advance as `step` does, and return the derivatives of the motion at the end.
 
-        They are exact, through the stages of each step, for the `exact` formulation without axial
-        modes and without dry friction that sticks, with both axes of the carrier free or held and
-        a rigid gear. They are by what acts of commands: limits, also of rates, are not
-        differentiated. Rows and columns of coordinates that are held, locked or driven are 0.
+        They are exact, through the stages of each step, for all scenes without dry friction that
+        sticks. Where something changes its course, such as a gear in its play or a current at its
+        limit, they are those of the side that is taken. They are by what acts of commands: limits,
+        also of rates, are not differentiated. Rows and columns of coordinates that are held,
+        locked or driven are 0.
 
         `inputs` are names of commands; those with two numbers give two columns. Raises
         ParameterError if the scene has what has no derivatives here, or an input is unknown, and

@@ -120,11 +120,16 @@ def product(turned, vector, out):
 @inner
 def add_product(turned, vector, out):
     """Add what `product` writes."""
-    # Rows here are columns of the matrix. Their sum stays in registers, and each number of the
-    # vector is loaded once.
+    # Rows here are columns of the matrix. Two sums, vectors or duals, stay in registers.
     rows, sums = as_vectors(turned), as_vectors(out)
-    for j in range(len(rows)):
-        for i in range(len(sums)):
+    for i in range(0, len(sums) - 1, 2):
+        first, second = sums[i], sums[i + 1]
+        for j in range(len(rows)):
+            first += rows[j, i] * vector[j]
+            second += rows[j, i + 1] * vector[j]
+        sums[i], sums[i + 1] = first, second
+    for i in range(len(sums) - len(sums) % 2, len(sums)):
+        for j in range(len(rows)):
             sums[i] += rows[j, i] * vector[j]
 
 
