@@ -68,13 +68,14 @@ def spin_up():
 
 @pytest.fixture(scope='session')
 def installed(tmp_path_factory):
-    """Install the package with colcon; return its prefix and the environment with it."""
+    """Install node and launch files with colcon; return the prefix and the environment with it."""
     folder = tmp_path_factory.mktemp('colcon')
     subprocess.run(
         [sys.executable, '-m', 'colcon', '--log-base', folder / 'log', 'build',
-         '--base-paths', ROOT, '--packages-select', 'timo_sim', '--build-base', folder / 'build',
-         '--install-base', folder / 'install'], check=True, cwd=folder, capture_output=True)
-    prefix = folder / 'install' / 'timo_sim'
+         '--base-paths', ROOT, ROOT / 'bringup', '--build-base', folder / 'build',
+         '--install-base', folder / 'install', '--merge-install'],
+        check=True, cwd=folder, capture_output=True)
+    prefix = folder / 'install'
     paths = {'PYTHONPATH': sysconfig.get_path('purelib', vars={'base': str(prefix)}),
              'AMENT_PREFIX_PATH': str(prefix)}
     return prefix, {**os.environ, **{

@@ -34,7 +34,7 @@ from timo_sim.view.plot import animate
 from timo_sim.view.rerun import picture, write
 from timo_sim.view.track import track_of_run
 
-CONFIG = Path(__file__).resolve().parents[2] / 'config'
+CONFIG = Path(__file__).resolve().parents[2] / 'bringup/config'
 LENGTH, AT = 2.0, 1.782
 ARM, TIP, GRID = (86, 180, 233), (213, 94, 0), (50, 50, 50)
 
