@@ -307,7 +307,8 @@ def test_colcon_builds_and_the_installed_node_runs(installed, tmp_path):
     share = prefix / 'share' / 'timo_sim'
     for name, folder in ('timo_sim', '.'), ('timo_sim_bringup', 'bringup'):
         assert (prefix / 'share/ament_index/resource_index/packages' / name).exists()
-        for path in [ROOT / folder / 'package.xml', *(ROOT / folder).glob('[cl]*/*.*')]:
+        for path in (path for pattern in ('package.xml', 'config/*', 'example/*.*', 'launch/*')
+                     for path in (ROOT / folder).glob(pattern)):
             place = prefix / 'share' / name / path.relative_to(ROOT / folder)
             assert place.read_text() == path.read_text()
     assert any(prefix.rglob('compiled/prebuilt/*.bc'))

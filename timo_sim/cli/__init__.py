@@ -540,24 +540,26 @@ def fit(record: str, more: tuple[str, ...], scene: str | None, free: tuple[str, 
         sys.exit(1)
 
 
-@main.command()
+@main.command(context_settings={'ignore_unknown_options': True})  # a negative number is a value
+@click.argument('topic')
+@click.argument('values', nargs=-1, metavar='VALUE...')
 @click.option('--node', default='/timo_sim', show_default=True, help='Full name of the node.')
-@click.option('--force', type=float, default=5.0, show_default=True,
-              help='Force on the carrier, along the axes of the world [N].')
-@click.option('--torque', type=float, default=5.0, show_default=True,
-              help='Torque on the shaft [N m].')
-def teleop(node: str, force: float, torque: float) -> None:
+@click.option('--wait', type=click.FloatRange(min=0.0, max=3600.0), default=10.0,
+              show_default=True, help='How long to wait for the node [s].')
+def send(topic: str, values: tuple[str, ...], node: str, wait: float) -> None:
     r"""
-    Push carrier and shaft of a live node by keys, in a terminal.
+    Send one command to a running node.
 
     \b
-        timo_sim teleop --torque 2
+        timo_sim send motor_torque 1.0
+        timo_sim send carrier_wrench force.y=-5 frame_id=arm
+        timo_sim send joint_command shaft=1.0
 
-    Arrows push the carrier, a and d turn the shaft, as long as they are held; space pauses or goes
-    on, r resets, q or Ctrl-C quits. The latest command acts, whether from here or from others.
+    TOPIC is the name of a command topic of the node; a wrong one lists them all. A VALUE is that
+    of its next field [N, N m, V], or FIELD=VALUE; a wrong one lists the fields.
     """
-    from timo_sim.ros.teleop import teleop
-    teleop(node, force, torque)
+    from timo_sim.ros.send import send
+    click.echo(send(topic, values, node, wait))
 
 
 @main.command()
