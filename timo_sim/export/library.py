@@ -53,10 +53,11 @@ class _Model:
         self.modules, self._functions = [], {}
         scene, model = simulator.scene, simulator.model
         # Tables and propagators of each linear part.
-        self.parts = [*zip(*(simulator.integration.part(sector).constants for sector in (
+        self.parts = [*zip(*(simulator.integration.part(sector) for sector in (
             range(model.sectors) if model.sectors else [None])))]
         self.plant, self.loads = plant_of(simulator), pack(scene.load.rows(scene.step))
         self.tables, self.actuators = model.packed, Actuators(scene.values).packed
+        self.bristles = simulator.integration.bristles
         self.joints = getattr(simulator.integration, 'joints', None)
         # What steps are differentiated by, if they are.
         unit = unit_loads_of(scene.values, [each.column for each in interface.inputs])
@@ -216,10 +217,8 @@ class _Body:
             'friction', 'heat', 'motion', 'state', 'load', 'loads'))
         given += [self.word(number) for number in (count, every, 0)]
         constants = self.constants_of_step(model, instance)
-        if not model.joints:
-            return self.call(model, instance, advance, *given, motion, **constants)
-        return self.call(
-            model, instance, friction.advance, memory, *given, motion, heat, **constants)
+        return self.call(model, instance, friction.advance if model.joints else advance, memory,
+                         *given, motion, heat, **constants)
 
     def step_of(self, model):
         """Define the function that does one step of a model under commands."""

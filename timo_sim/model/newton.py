@@ -454,6 +454,20 @@ def _observe(tables, state, load, out):
             out[goal + 2 + i] = state[source + len(tables.axes) + i - driven]
 
 
+@functions.joint_place.of(Tables, merge=True)
+def _joint_place(tables, state, load, joint):
+    """Return the place of a joint, a number of the state if it is free."""
+    found = 0.0
+    if joint >= 2:
+        found = (load[ANGLE] if len(tables.softening) > len(tables.inverse)
+                 else state[len(tables.axes)])
+    else:
+        for k in range(len(tables.axes)):
+            if tables.axes[k] == joint:
+                found = state[k]
+    return found
+
+
 @functions.effort.of(Tables)
 def _effort(tables, motion, accelerations, load, out):
     """Write what (T15) and (T16) need, with P(0), V(0) of this formulation (T44)."""

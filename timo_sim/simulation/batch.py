@@ -21,6 +21,7 @@ from timo_sim.scene.scene import (
 from timo_sim.simulation.loads import Actuators, commanded_load, limits_of, whole_load
 from timo_sim.simulation.simulator import COUNT, MOST_BENT, SAMPLE_EVERY, Stateful
 from timo_sim.simulation.warnings import divergence, unseen_load
+from timo_sim.steps.bristles import HEAT, MEMORY
 from timo_sim.steps.lanes import from_lanes, LaneSteps, to_lanes
 from timo_sim.steps.steps import CHUNK, NO_LOADS
 
@@ -143,7 +144,7 @@ class Batch(Stateful):
     Raises
     ------
     ParameterError
-        If the scenes differ in size, or have what a batch cannot do: dry friction, a carrier
+        If the scenes differ in size, or have what a batch cannot do: sticking friction, a carrier
         that is held along one axis beside a free or driven shaft, `model.accuracy`, payloads that
         change.
 
@@ -176,7 +177,8 @@ class Batch(Stateful):
         self._needed = {each.needs: np.array([scene.values[each.needs] for scene in self.scenes])
                         for each in INPUTS if each.needs}
         self._loads = LaneLoads(self.scenes)
-        self._lanes = LaneSteps(self._models, self.scenes[0].step, MOST_BENT)
+        self._lanes = LaneSteps(self._models, self.scenes[0].step, MOST_BENT,
+                                np.array([scene.bristles for scene in self.scenes]))
         self.steps, self._origin = 0, np.zeros(self.n, dtype=int)
         self.reset()
 
@@ -211,6 +213,11 @@ class Batch(Stateful):
         """Return rotations of the tips relative to the shaft, shape (n,) [rad]."""
         return from_lanes(self._lanes.tip, self.n)[:, 2]
 
+    @property
+    def friction_heat(self) -> np.ndarray:
+        """Energy that dry friction has taken, as in `Run.friction_heat`, shape (n,) [J]."""
+        return from_lanes(self._lanes.memory, self.n)[:, HEAT]
+
     def reason(self, number: int) -> str:
         """Return why a manipulator has failed, as the text of a DivergenceError, or ''."""
         number = Parameter('number', 0, '', '', low=0, high=self.n - 1).check(number)
@@ -236,6 +243,7 @@ class Batch(Stateful):
         motions, lanes = np.broadcast_to(motions, self._initial.shape), self._lanes
         states = self._at_start if motion is None else self._states_of(motions, chosen)
         for field, new in ((lanes.state, states), (lanes.motion, motions),
+                           (lanes.memory, np.zeros((self.n, MEMORY))),
                            (lanes.progress, np.array([[1.0, 0.0]] * self.n))):
             rows = from_lanes(field, self.n)
             rows[chosen] = new[chosen]
@@ -356,9 +364,8 @@ def refusal(scene: Scene) -> str:
     if scene.build().sectors:
         return ' with '.join(f'{name} = {values[name]}' for name in (
             'carrier.held', 'motor.shaft'))
-    if scene.has_dry_friction:
-        return 'Coulomb friction ' + ('without a coulomb_speed' if scene.friction.any() else
-                                      'with a coulomb_presliding')
+    if scene.friction.any():
+        return 'Coulomb friction without a coulomb_speed or coulomb_presliding'
     for name in ('model.accuracy', 'payload.time'):
         if values[name]:
             return f'{name} = {values[name]}'

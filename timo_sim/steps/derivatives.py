@@ -41,7 +41,7 @@ def step_derivatives(steps: Steps, state: np.ndarray, load: np.ndarray, loads: n
     motion, part = steps.model.size, steps.part(None)
     out = np.empty((motion + len(unit), motion))
     inputs = inputs_of(unit, motion)
-    differentiate.of(*part.constants, inputs)(state, load, loads, len(loads), out)
+    differentiate.of(*part, inputs)(state, load, loads, len(loads), out)
     return out.T
 
 

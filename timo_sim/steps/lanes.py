@@ -20,6 +20,7 @@ from timo_sim.compiled.functions import (
 from timo_sim.model.formulation import Formulation
 from timo_sim.model.functions import copy, observe, tip
 from timo_sim.model.layout import AFTER, END, LOADS, MIDDLE, STAGES, START, STEP_LOADS
+from timo_sim.steps.bristles import Bent, Bristles, bristles_of, MEMORY, start_bristles
 from timo_sim.steps.etdrk4 import one_step, Work
 from timo_sim.steps.steps import matrices_of
 
@@ -40,17 +41,20 @@ class LaneSteps:
     Equal steps of n models of one size, in groups of WIDTH.
 
     The models are of one class, with tables of the same shapes and the same free coordinates. A
-    run whose arm is bent by more than `bend_limit` arm lengths counts as diverged.
+    run whose arm is bent by more than `bend_limit` arm lengths counts as diverged. `bristles`,
+    (n, 4, 3), are `Scene.bristles` of each.
 
     Arrays have the shape (groups, ..., WIDTH): `state`, m numbers; `progress`, whether a lane is
-    alive, 1 or 0, and how many steps it has done; at the end of the last call `motion`,
-    2 (3 + N), and `tip`, 3, what `model.functions.tip` returns.
+    alive, 1 or 0, and how many steps it has done; `memory`, of friction; at the end of the last
+    call `motion`, 2 (3 + N), and `tip`, 3, what `model.functions.tip` returns.
     """
 
-    def __init__(self, models: list[Formulation], step: float, bend_limit: float) -> None:
+    def __init__(self, models: list[Formulation], step: float, bend_limit: float,
+                 bristles: np.ndarray) -> None:
         self.count, self.models, self.step = len(models), models, step
         groups = -(-len(models) // WIDTH)
-        padded = [models[min(row, len(models) - 1)] for row in range(groups * WIDTH)]
+        rows = np.minimum(np.arange(groups * WIDTH), len(models) - 1)
+        padded = [models[row] for row in rows]
         lanes, size = len(padded), models[0].size
         if all(model is models[0] for model in models):
             entry, tables = advance_alike, models[0].pack(models[0].tables, pad=False)
@@ -67,8 +71,10 @@ class LaneSteps:
             np.array([model.tip_travel[3:] for model in padded]),
             np.array([[bend_limit * model.manipulator.arm.length] for model in padded]),
             np.zeros((lanes, size))))
+        packed = pack_lanes(Bristles._make(bristles_of(padded, step, bristles[rows])))
         self.groups, self._entry = groups, entry
-        self._constants = tables, matrices, lane_constants
+        self._constants = tables, matrices, packed, lane_constants
+        self.memory = np.zeros((groups, MEMORY, WIDTH))
         self.state = np.zeros((groups, len(models[0].linear), WIDTH))
         self.progress, self.motion = np.ones((groups, 2, WIDTH)), np.zeros((groups, size, WIDTH))
         self.tip, self.progress[:, 1] = np.zeros((groups, 3, WIDTH)), 0.0
@@ -76,7 +82,7 @@ class LaneSteps:
     @property
     def constant_load(self) -> np.ndarray:
         """What of loads does not vary within a call, (groups, LOADS, WIDTH)."""
-        return self._constants[2].constant_load
+        return self._constants[3].constant_load
 
     @cached_property
     def _advance(self):
@@ -100,7 +106,8 @@ class LaneSteps:
         samples = self.room(0, self.motion.shape[1]) if samples is None else samples
         tips = self.room(0, 3) if tips is None else tips
         self._advance(columns, len(columns), varying.reshape(-1, WIDTH), varying.shape[1] - 1,
-                      self.state, self.progress, self.motion, self.tip, self.groups, sample_every,
+                      self.memory, self.state, self.progress, self.motion, self.tip, self.groups,
+                      sample_every,
                       since, samples.reshape(-1, *samples.shape[2:]), samples.shape[1],
                       tips.reshape(-1, *tips.shape[2:]), tips.shape[1])
 
@@ -135,13 +142,14 @@ def _set_load(lane, columns, count, varying, place, row):
 
 
 @inner
-def _advance(tables, propagator, lane, columns, count, varying, varying_from, steps, state,
-             progress, end_motion, end_tip, sample_every, since, samples, samples_from, tips,
-             tips_from, tip_rows):
+def _advance(tables, propagator, bristles, lane, columns, count, varying, varying_from, steps,
+             memory, state, progress, end_motion, end_tip, sample_every, since, samples,
+             samples_from, tips, tips_from, tip_rows):
     """Integrate one group of lanes over equal steps, see `advance`."""
     work = local_arrays(Work, propagator)
     now, following = work.now, work.following
     motion, load = local((lane.motion,)), lane.load
+    bent = local_arrays(Bent, bristles)
     for row in range(STEP_LOADS):
         copy(lane.constant_load, load[row])
     modal = len(state) // 2 - len(lane.tip_travel)
@@ -152,15 +160,16 @@ def _advance(tables, propagator, lane, columns, count, varying, varying_from, st
         place = varying_from + k * STEP_LOADS * count
         _set_load(lane, columns, count, varying, place + AFTER * count, AFTER)
         sampled = sample_every > 0 and (since + k) % sample_every == 0
-        if sampled or k == steps:
+        if sampled or k == steps or len(bristles.reach):
             observe(tables, now, load[AFTER], motion)
+            start_bristles(tables, bristles, now, load[AFTER], motion, k > 0, bent, memory)
             if sampled:
                 copy(motion, samples[samples_from + (since + k) // sample_every])
         if k == steps:
             break
         for row in range(STAGES):
             _set_load(lane, columns, count, varying, place + (STEP_LOADS + row) * count, row)
-        one_step(propagator, tables, load[START], load[MIDDLE], load[END], work)
+        one_step(propagator, tables, bristles, bent, load[START], load[MIDDLE], load[END], work)
         if k < tip_rows:
             for i in range(len(lane.tip_travel)):
                 motion[3 + i] = now[modal + i]
@@ -184,8 +193,9 @@ def _advance(tables, propagator, lane, columns, count, varying, varying_from, st
     progress[0], progress[1] = alive, done
 
 
-def advance(tables, propagator, lane, columns, count, varying, steps, state, progress, motion,
-            end_tip, groups, sample_every, since, samples, sample_rows, tips, tip_rows):
+def advance(tables, propagator, bristles, lane, columns, count, varying, steps, memory, state,
+            progress, motion, end_tip, groups, sample_every, since, samples, sample_rows, tips,
+            tip_rows):
     """
     Integrate groups of lanes over equal steps, see `LaneSteps.advance`.
 
@@ -194,17 +204,18 @@ def advance(tables, propagator, lane, columns, count, varying, steps, state, pro
     samples and `tip_rows` tips.
     """
     for g in range(groups):
-        _advance(tables[g], propagator[g], lane[g], columns, count, varying,
-                 g * (1 + steps) * STEP_LOADS * count, steps, state[g], progress[g], motion[g],
-                 end_tip[g], sample_every, since, samples, g * sample_rows, tips, g * tip_rows,
-                 tip_rows)
+        _advance(tables[g], propagator[g], bristles[g], lane[g], columns, count, varying,
+                 g * (1 + steps) * STEP_LOADS * count, steps, memory[g], state[g], progress[g],
+                 motion[g], end_tip[g], sample_every, since, samples, g * sample_rows, tips,
+                 g * tip_rows, tip_rows)
 
 
 # For lanes with the same packed constants, and for lanes each with its own.
 advance_alike, advance_each = (EntryPoint(advance, {
-    'tables': Constants(form), 'propagator': Constants(form), 'lane': Constants('lanes'),
-    'columns': Array((None,), whole=True, own=True), 'count': int,
+    'tables': Constants(form), 'propagator': Constants(form), 'bristles': Constants('lanes'),
+    'lane': Constants('lanes'), 'columns': Array((None,), whole=True, own=True), 'count': int,
     'varying': Array((None,), lanes=True), 'steps': int,
+    'memory': Array((None, MEMORY), lanes=True, own=True),
     'state': Array((None, 'state'), lanes=True, own=True),
     'progress': Array((None, 2), lanes=True, own=True),
     'motion': Array((None, 'motion'), lanes=True, own=True),
