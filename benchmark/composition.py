@@ -2,17 +2,20 @@
 # SPDX-License-Identifier: Apache-2.0
 
 """
-Try each effect in each use of a scene, and each pair of effects; fill doc/design.md.
+Try each effect in each use of a scene, pairs of effects, and random scenes; fill doc/design.md.
 
-A cell works if the use gives what `Simulator` gives, or what another oracle says; it may be without
-meaning, which needs a reason here; or it is refused, with the text of the error.
+A cell works if the use gives what `Simulator` gives, or what another oracle says; it may be
+without meaning, for a reason that stands here; or it is refused, with the text of the error.
 """
 
 from collections import Counter
+from concurrent.futures import ProcessPoolExecutor
 import contextlib
 import ctypes
 from itertools import combinations
 import math
+import multiprocessing
+import os
 from pathlib import Path
 import subprocess
 import sys
@@ -22,7 +25,7 @@ import warnings
 
 import numpy as np
 
-from benchmark.report import fill, measured_on, parser, table
+from benchmark.report import make_page, table
 import timo_sim
 from timo_sim.export.c import link
 from timo_sim.export.constants import interface_of
@@ -161,9 +164,10 @@ def node(scene):
     with tempfile.TemporaryDirectory() as folder:
         path, log = Path(folder, 'scene.yaml'), Path(folder, 'run.mcap')
         path.write_text(scene_text(scene.values), encoding='utf-8')
-        subprocess.run([str(Path(sys.executable).parent / 'sim_node'), '--ros-args', '--params-file', path, *options(
-            duration=DURATION, real_time_factor=0.0, record_file=log)], check=True,
-            env=ENVIRONMENT, capture_output=True, timeout=120)
+        given = options(duration=DURATION, real_time_factor=0.0, record_file=log)
+        subprocess.run([str(Path(sys.executable).parent / 'sim_node'), '--ros-args',
+                        '--params-file', path, *given], env=ENVIRONMENT, check=True,
+                       capture_output=True, timeout=120)
         run, other = timo_sim.open_log(log), timo_sim.Simulator(scene)
         other.step(duration=DURATION)
         close(run.values[-1], other.motion.values, 1e-13)
@@ -219,7 +223,8 @@ def linear(scene):
         still = still.vary({'motor.drive.angle': [0.3, 0.3], 'motor.drive.speed': [0.0, 0.0]})
     model = timo_sim.linearize(still, **contact)
     assert timo_sim.modes(still, **contact).frequency[-1] > 1.0
-    name, unit = ('torque', 1e-4) if still.values['motor.shaft'] == 'free' else ('force', [0, 0.01])
+    free = still.values['motor.shaft'] == 'free'
+    name, unit = ('torque', 1e-4) if free else ('force', [0.0, 0.01])
     column = model.inputs.index('torque_N_m' if name == 'torque' else 'force_y_N')
     x, one = np.zeros(len(model.states)), model.to_discrete(STEP)
     for _ in range(20):
@@ -252,6 +257,8 @@ def derivatives(scene):
     columns = [(end(start + size * row) - end(start - size * row)) / (2.0 * size)
                for row in np.eye(len(start))[places]]
     close(found.by_motion[:, places], np.array(columns).T, 1e-5)
+    if np.isfinite(scene.values['motor.torque_rate_limit']):
+        return  # derivatives are by what acts after limits
     first = np.array([1.0, 0.0]) if name == 'force' else 1.0
     close(found.by_input[:, 0], (end(start, size * first) - end(start, -size * first))
           / (2.0 * size), 1e-5)
@@ -260,7 +267,7 @@ def derivatives(scene):
 def observer(scene):
     """An observer that begins right, and is shown the truth, stays there."""
     noisy = scene.vary({'sensor.encoder.noise': 1e-5, 'sensor.root_strain.noise': 1e-7})
-    names = [name for name in ('encoder', 'root_strain')]
+    names = ['encoder', 'root_strain']
     found, truth = timo_sim.observer(noisy, names), timo_sim.Simulator(scene)
     for _ in range(10):
         truth.step(**commands(scene))
@@ -346,19 +353,109 @@ USES = {'Simulator': simulator, 'node': node, 'replay': replay, 'estimate of the
 PAIRED = {'S': simulator, 'B': batch, 'D': derivatives}
 
 
+def reason_against(*names):
+    """Return why some effects, or effects and a use, are without meaning together; '' if not."""
+    return next((reason for pair, reason in WITHOUT_MEANING.items() if pair <= {*names}), '')
+
+
 def try_cell(use, *effects):
-    """Return the Cell of a use, a name of USES or a function, of a scene with some effects."""
-    named = {use, *effects}
-    for pair, reason in WITHOUT_MEANING.items():
-        if pair <= named:
-            return Cell('without meaning', reason)
-    function = USES[use] if isinstance(use, str) else use
+    """Return the Cell of a use, a name in USES or PAIRED, of a scene with some effects."""
+    if reason := reason_against(use, *effects):
+        return Cell('without meaning', reason)
     with warnings.catch_warnings(), contextlib.chdir(tempfile.gettempdir()):
         warnings.simplefilter('ignore')
         try:
-            function(scene_of(*effects))
+            {**USES, **PAIRED}[use](scene_of(*effects))
         except timo_sim.ParameterError as error:
             return Cell('refused', str(error))
         except (AssertionError, ArithmeticError, subprocess.SubprocessError) as error:
             return Cell('wrong', f'{type(error).__name__}: {error}')
     return Cell('works')
+
+
+def _try_all(cells):
+    # Each process compiles, too; those of nodes must not have the threads of others.
+    with ProcessPoolExecutor(os.cpu_count(), multiprocessing.get_context('spawn')) as executor:
+        return dict(zip(cells, executor.map(_try_one, cells)))
+
+
+def _try_one(cell):
+    return try_cell(*cell)
+
+
+class _Notes:
+    # The marks of cells in a table, and what stands below it.
+
+    def __init__(self):
+        self.texts, self.states = {}, Counter()
+
+    def mark(self, cells, letters=('',)):
+        """Return the mark of cells that stand in one place of a table, each with its letter."""
+        self.states.update(cell.state for cell in cells)
+        marks = []
+        for letter, cell in zip(letters, cells):
+            if cell.state != 'works':
+                number = self.texts.setdefault(cell.text, len(self.texts) + 1)
+                word = '-' if cell.state == 'without meaning' else f'**{cell.state}** {letter}'
+                marks.append(f'{word.strip()} ({number})')
+        return '; '.join(dict.fromkeys(marks)) or 'yes'
+
+    def below(self):
+        """Return the counts and what the numbers in brackets say."""
+        counted = sum(self.states.values()) - self.states['without meaning']
+        lines = [f'{self.states["works"]} of {counted} cells work '
+                 f'({self.states["works"] / counted:.1%}), {self.states["refused"]} are refused, '
+                 f'{self.states["wrong"]} are wrong; {self.states["without meaning"]} more are '
+                 'without meaning (-).']
+        return '\n\n'.join([*lines, '\n'.join(
+            f'- ({number}) {" ".join(text.split())}' for text, number in self.texts.items())])
+
+
+def by_use(quick):
+    """Return the table of effects and uses; if `quick` one use of each effect."""
+    names, notes = [*USES], _Notes()
+    found = _try_all(latin_square() if quick else [
+        (use, effect) for effect in EFFECTS for use in names])
+    rows = [(effect, *(notes.mark([found[use, effect]]) if (use, effect) in found else ''
+                       for use in names)) for effect in EFFECTS]
+    return f'{table(["", *names], rows)}\n\n{notes.below()}'
+
+
+def latin_square():
+    """Return one use of each effect, and one effect of each use; each a pair of names."""
+    uses = [*USES]
+    return [(uses[6 * k % len(uses)], effect) for k, effect in enumerate(EFFECTS)]
+
+
+def by_effect(quick):
+    """Return the table of pairs of effects, in Simulator (S), Batch (B) and derivatives (D)."""
+    pairs = [*combinations(EFFECTS, 2)][::40 if quick else 1]
+    notes, found = _Notes(), _try_all([(use, *pair) for pair in pairs for use in PAIRED])
+    numbers = {effect: str(k) for k, effect in enumerate(EFFECTS, 1)}
+    rows = [(f'{numbers[row]} {row}', *(notes.mark(
+        [found[use, column, row] for use in PAIRED], PAIRED) if (column, row) in pairs else ''
+        for column in EFFECTS)) for row in [*EFFECTS][1:]]
+    return f'{table(["", *numbers.values()], rows)}\n\n{notes.below()}'
+
+
+def at_random(quick):
+    """Return what came of random scenes with three to five effects, each in a random use."""
+    random, cells, states = np.random.default_rng(1), [], Counter()
+    while len(cells) < (4 if quick else 40):
+        effects = random.choice([*EFFECTS], random.integers(3, 6), replace=False).tolist()
+        cell = (random.choice([*USES]), *effects)
+        if not reason_against(*cell):
+            cells.append(cell)
+    lines = []
+    for cell, found in _try_all(cells).items():
+        states[found.state] += 1
+        if found.state != 'works':
+            lines.append(f'- {", ".join(cell[1:])}, {cell[0]}: {found.state}, {found.text}')
+    return '\n\n'.join([f'Of {len(cells)} random scenes with three to five effects, each in a '
+                        f'random use, {states["works"]} work.', '\n'.join(lines)])
+
+
+if __name__ == '__main__':
+    make_page(__spec__, __doc__, 'design.md', {
+        'effects and uses': by_use, 'effects and effects': by_effect, 'random scenes': at_random},
+        quick='try a few cells, and only print them')

@@ -42,7 +42,6 @@ share `M_i0 q_0'` (T31); its acceleration is needed only where the state has rat
 """
 
 from copy import copy
-import math
 from typing import Any
 
 import numpy as np
@@ -210,19 +209,21 @@ class Exact(Formulation):
         return (cosine, sine, cosine - gamma * sine + stretch * cosine,
                 sine + gamma * cosine + stretch * sine)
 
-    def sector(self, state: np.ndarray, load: np.ndarray) -> int | None:
-        """Return the number of the sector of the shaft angle and of the band of its speed."""
+    def sector(self, state: np.ndarray, load: np.ndarray,
+               bands_per_speed: np.ndarray | None = None) -> Any:
+        """Return the numbers of the sectors of the shaft angle and of the bands of its speed."""
         if not self.sectors:
             return None
-        axes, band = len(self.axes), 0
-        angle = load[ANGLE] if self.driven else state[axes]
-        speed = load[SPEED] if self.driven else state[len(state) // 2 + axes]
-        if not (math.isfinite(angle) and math.isfinite(speed)):
-            return 0  # of a run that diverges any will do
+        axes = len(self.axes)
+        angle = load[..., ANGLE] if self.driven else state[..., axes]
+        speed = load[..., SPEED] if self.driven else state[..., state.shape[-1] // 2 + axes]
+        good = np.isfinite(angle) & np.isfinite(speed)  # of a run that diverges any will do
+        found = np.floor(np.where(good, angle, 0.0) * (SECTORS / np.pi)) % SECTORS
         if self.axial:
-            band = math.floor(speed * self.tables.bands_per_speed)
-            band = min(max(band, -BANDS), BANDS - 1) + BANDS
-        return math.floor(angle * (SECTORS / math.pi)) % SECTORS + SECTORS * band
+            bands = self.tables.bands_per_speed if bands_per_speed is None else bands_per_speed
+            found += SECTORS * (BANDS + np.clip(np.floor(
+                np.where(good, speed, 0.0) * bands), -BANDS, BANDS - 1))
+        return found.astype(int) if state.ndim > 1 else int(found)
 
     def in_sector(self, number: int) -> tuple[Any, np.ndarray]:
         """Return tables and linear part of the straight arm in the middle of a sector, a band."""

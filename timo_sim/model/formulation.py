@@ -169,8 +169,13 @@ class Formulation(ABC):
         """Return the dict in which all `Steps` of a length [s] share their linear parts."""
         return self._linear_parts.setdefault(step, {})
 
-    def sector(self, state: np.ndarray, load: np.ndarray) -> int | None:
-        """Return the number of the sector of a state, or None where there are no sectors."""
+    def sector(self, state: np.ndarray, load: np.ndarray,
+               bands_per_speed: np.ndarray | None = None) -> Any:
+        """
+        Return the numbers of the sectors of states, (..., m), or None where there are no sectors.
+
+        `load`, (..., LOADS), are the loads then; `bands_per_speed`, (...), is that of the tables.
+        """
         return None
 
     def in_sector(self, number: int) -> tuple[Any, np.ndarray]:

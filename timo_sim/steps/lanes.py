@@ -9,7 +9,7 @@ own: a lane that diverges is computed on and its result thrown away.
 """
 
 from functools import cached_property
-from typing import Annotated, NamedTuple
+from typing import Annotated, Any, NamedTuple
 
 import numpy as np
 
@@ -42,7 +42,8 @@ class LaneSteps:
 
     The models are of one class, with tables of the same shapes and the same free coordinates. A
     run whose arm is bent by more than `bend_limit` arm lengths counts as diverged. `bristles`,
-    (n, 4, 3), are `Scene.bristles` of each.
+    (n, 4, 3), are `Scene.bristles` of each. `alike` says that lanes with the same model may share
+    its constants, so that none can be changed.
 
     Arrays have the shape (groups, ..., WIDTH): `state`, m numbers; `progress`, whether a lane is
     alive, 1 or 0, and how many steps it has done; `memory`, of friction; at the end of the last
@@ -50,13 +51,15 @@ class LaneSteps:
     """
 
     def __init__(self, models: list[Formulation], step: float, bend_limit: float,
-                 bristles: np.ndarray) -> None:
-        self.count, self.models, self.step = len(models), models, step
+                 bristles: np.ndarray, alike: bool) -> None:
+        self.step, self._bristles = step, bristles
         groups = -(-len(models) // WIDTH)
         rows = np.minimum(np.arange(groups * WIDTH), len(models) - 1)
         padded = [models[row] for row in rows]
-        lanes, size = len(padded), models[0].size
-        if all(model is models[0] for model in models):
+        lanes, size, self._models = len(padded), models[0].size, padded
+        self._sectors: Any = np.full(lanes, -1) if models[0].sectors else None
+        self._parts: dict[tuple[Formulation, int | None], Any] = {}
+        if alike and not models[0].sectors and all(model is models[0] for model in models):
             entry, tables = advance_alike, models[0].pack(models[0].tables, pad=False)
             matrices = pack(matrices_of(models[0].linear, step), pad=False)
         else:
@@ -105,6 +108,60 @@ class LaneSteps:
         """
         samples = self.room(0, self.motion.shape[1]) if samples is None else samples
         tips = self.room(0, 3) if tips is None else tips
+        if self._sectors is None:
+            self._call(columns, varying, sample_every, since, samples, tips)
+            return
+        # Only between two calls can a lane get the linear part of another sector.
+        for k in range(max(1, varying.shape[1] - 1)):
+            self._enter_sectors(columns, varying[:, k, AFTER])
+            here = self.room(min(1, tips.shape[1]), 3)
+            self._call(columns, np.ascontiguousarray(varying[:, k:k + 2]), sample_every, since + k,
+                       samples, here)
+            tips[:, k:k + 1] = here
+
+    def _enter_sectors(self, columns, varying):
+        # Give lanes whose shafts have turned on the linear part of their sector.
+        load = self.constant_load.copy()
+        load[:, columns] += varying
+        load, states = (from_lanes(each, len(self._models)) for each in (load, self.state))
+        now = self._models[0].sector(states, load, self._constants[0].bands_per_speed.ravel())
+        lanes = np.flatnonzero(now != self._sectors)
+        self._sectors[lanes] = now[lanes]
+        self._use(lanes)
+
+    def change_model(self, lane: int, model: Formulation) -> None:
+        """Give a lane another model of the same size, such as with another load at the tip."""
+        own = range(lane, lane + 1) if lane < len(self._bristles) - 1 else (
+            range(lane, len(self._models)))  # the last one fills the rest
+        for each in own:
+            self._models[each] = model
+        self._use(np.array(own))
+        self._write(self._constants[2], np.array(own), [Bristles._make(
+            each[0] for each in bristles_of([model], self.step, self._bristles[[lane]]))
+            for _ in own])
+
+    def _use(self, lanes):
+        # Write tables and matrices of the present models and sectors of some lanes.
+        parts = [self._part(self._models[lane], None if self._sectors is None else
+                            int(self._sectors[lane])) for lane in lanes]
+        for packed, fields in zip(self._constants, zip(*parts)):
+            self._write(packed, lanes, fields)
+
+    def _part(self, model, sector):
+        key = model, sector
+        if key not in self._parts:
+            tables, linear = ((model.tables, model.linear) if sector is None or sector < 0 else
+                              model.in_sector(sector))
+            self._parts[key] = tables, matrices_of(linear, self.step)
+        return self._parts[key]
+
+    @staticmethod
+    def _write(packed, lanes, fields):
+        for (name, view), values in zip(packed.views.items(), zip(*fields)):
+            if view.dtype == float:  # whole numbers are those of all lanes
+                view[lanes // WIDTH, ..., lanes % WIDTH] = values
+
+    def _call(self, columns, varying, sample_every, since, samples, tips):
         self._advance(columns, len(columns), varying.reshape(-1, WIDTH), varying.shape[1] - 1,
                       self.memory, self.state, self.progress, self.motion, self.tip, self.groups,
                       sample_every,
