@@ -68,16 +68,21 @@ def spin_up():
 
 @pytest.fixture(scope='session')
 def installed(tmp_path_factory):
-    """Install node and launch files with colcon; return the prefix and the environment with it."""
-    folder = tmp_path_factory.mktemp('colcon')
+    """
+    Install node and launch files with colcon; return the prefix and the environment with it.
+
+    As pip does, it hands on what a build needs by PYTHONPATH, to a Python that has nothing else.
+    """
+    folder, packages = tmp_path_factory.mktemp('colcon'), sysconfig.get_path('purelib')
     subprocess.run(
-        [sys.executable, '-m', 'colcon', '--log-base', folder / 'log', 'build',
+        [sys._base_executable, '-m', 'colcon', '--log-base', folder / 'log', 'build',
          '--base-paths', ROOT, ROOT / 'bringup', '--build-base', folder / 'build',
          '--install-base', folder / 'install', '--merge-install'],
-        check=True, cwd=folder, capture_output=True)
+        check=True, cwd=folder, capture_output=True,
+        env={**os.environ, 'PYTHONPATH': packages})
     prefix = folder / 'install'
-    paths = {'PYTHONPATH': sysconfig.get_path('purelib', vars={'base': str(prefix)}),
-             'AMENT_PREFIX_PATH': str(prefix)}
+    built = sysconfig.get_path('purelib', vars={'base': str(prefix)})
+    paths = {'PYTHONPATH': f'{built}{os.pathsep}{packages}', 'AMENT_PREFIX_PATH': str(prefix)}
     return prefix, {**os.environ, **{
         name: os.pathsep.join(filter(None, (path, os.environ.get(name))))
         for name, path in paths.items()}}
