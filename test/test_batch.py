@@ -274,7 +274,7 @@ def test_steps_are_whole_numbers_from_0():
 FORK = """
 import os, threading
 import timo_sim
-simulator = timo_sim.Simulator({}, estimate=True)
+simulator = timo_sim.EstimatingSimulator({})
 def step():
     while True:
         simulator.advance(1000)

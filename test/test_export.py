@@ -309,7 +309,7 @@ def test_estimated_error(tmp_path):
     """It is that of Simulator, up to the round-off of two positions of the tip, about 1 m."""
     scene = timo_sim.load_scene('paper')
     timo_sim.export_c(scene, tmp_path, estimate=True)
-    simulator, torque = timo_sim.Simulator(scene, estimate=True), np.zeros(LOADS)
+    simulator, torque = timo_sim.EstimatingSimulator(scene), np.zeros(LOADS)
     torque[4], errors = 2.0, []
     for _ in range(100):
         simulator.advance(1, torque)

@@ -415,3 +415,13 @@ def test_the_site(tmp_path):
     # Nothing is loaded from the network: MathJax is part of the site.
     assert not re.findall(r'<(?:script|link|img)[^>]*(?:src|href)="(https?:[^"]*)',
                           '\n'.join(site.values()))
+
+
+def test_only_the_module_of_finer_runs_makes_a_simulator_beside_another():
+    made = {}
+    for path in sorted((ROOT / 'timo_sim').rglob('*.py')):
+        tree = ast.parse(path.read_text(encoding='utf-8'))
+        calls = (node.func for node in ast.walk(tree) if isinstance(node, ast.Call))
+        made[path.name] = sum(getattr(each, 'id', '') == 'Simulator' for each in calls)
+    assert [name for name, count in made.items() if count > 1] == ['finer.py']
+    assert not made['simulator.py']

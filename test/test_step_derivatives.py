@@ -101,6 +101,6 @@ def test_bad_inputs_and_motions_are_refused():
             (lambda: simulator.step_derivatives(['voltage']), 'needs motor.dc.resistance > 0'),
             (lambda: simulator.set_motion([0.0]), 'motion must be 12 finite numbers'),
             (lambda: simulator.set_motion(np.full(12, np.nan)), 'finite'),
-            (lambda: timo_sim.Simulator('paper', True).set_motion(np.zeros(12)), 'estimate')):
+            (lambda: timo_sim.EstimatingSimulator('paper').set_motion(np.zeros(12)), 'estimate')):
         with pytest.raises(timo_sim.ParameterError, match=words):
             call()

@@ -17,7 +17,7 @@ from timo_sim.export.library import library, TEXTS
 from timo_sim.scene.files import whole_file
 from timo_sim.scene.parameters import checked, FLAG, ParameterError, PATH, short, TEXT
 from timo_sim.scene.scene import load_scene, SceneLike
-from timo_sim.simulation.finer import refine
+from timo_sim.simulation.finer import EstimatingSimulator
 from timo_sim.simulation.simulator import Simulator
 from timo_sim.steps.instance import Code
 from timo_sim.version import __version__
@@ -239,9 +239,11 @@ def export_c(scene: SceneLike, folder: Path | str, target: str = 'host', estimat
         raise ParameterError(f'name must be no word of C or its library, got {short(name)}')
     refuse(scene, estimate)
     interface = interface_of(scene, estimate)
-    simulators = [Simulator(scene)]
     if estimate:
-        simulators.append(Simulator(refine(scene, interface.parts)))
+        simulator = EstimatingSimulator(scene)
+        simulators = [simulator, simulator.finer]
+    else:
+        simulators = [Simulator(scene)]
     folder.mkdir(parents=True, exist_ok=True)
     for file in (f'{name}.h', f'{name}.o', 'main.c', 'CMakeLists.txt'):
         if (folder / file).exists() and not (folder / file).is_file():

@@ -26,7 +26,8 @@ from timo_sim.runs.simulate import resolve
 from timo_sim.scene.parameters import (
     frame_names, LATEST, ParameterError, PARAMETERS, SCENE)
 from timo_sim.scene.scene import find_implausible, scene_from
-from timo_sim.simulation.simulator import Simulator, STEPS_BEHIND
+from timo_sim.simulation.finer import EstimatingSimulator, STEPS_BEHIND
+from timo_sim.simulation.simulator import Simulator
 from timo_sim.simulation.snapshot import Snapshot
 from timo_sim.topics.outputs import TRANSFORMS
 
@@ -67,7 +68,7 @@ class SimNode(ParameterNode):
         values.update(scene.values)
         steps_each = steps_between_messages(values, scene.step)
         sync_steps(values, scene.step)
-        simulator = Simulator(scene, values['estimate_error'])
+        simulator = (EstimatingSimulator if values['estimate_error'] else Simulator)(scene)
         simulator.warm_up(tell, messages=True)
         doubts = find_implausible(scene.values)
         if doubts:
@@ -160,7 +161,8 @@ class SimNode(ParameterNode):
         self._loop.poll()
         wait = self._loop.tick(now, self._stop)
         # The error is measured while nothing else is due.
-        return 0.0 if wait > 0.0 and self._simulator.measure_error(STEPS_BEHIND) else wait
+        follows = wait > 0.0 and isinstance(self._simulator, EstimatingSimulator)
+        return 0.0 if follows and self._simulator.measure_error(STEPS_BEHIND) else wait
 
     def _close(self):
         wall_time = time.monotonic() - self._opened

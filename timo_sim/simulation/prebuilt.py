@@ -27,7 +27,7 @@ from timo_sim.compiled.entry import EntryPoint
 from timo_sim.compiled.functions import Constants
 from timo_sim.model import exact_code, functions, modes, newton
 from timo_sim.scene.scene import load_scene
-from timo_sim.simulation.simulator import Simulator
+from timo_sim.simulation.finer import EstimatingSimulator
 from timo_sim.steps import bristles, derivatives, etdrk4, friction, instance, lanes, loads
 
 # A carrier and a shaft that move freely, as in the paper; and an arm on a hub, on a carrier that
@@ -63,7 +63,7 @@ def entries() -> Iterator[tuple[EntryPoint, tuple[type, ...]]]:
 
 def compile_usual(values: dict[str, Any]) -> None:
     """Compile what runs and nodes with some values of a scene need, and runs that are finer."""
-    Simulator(load_scene(values), estimate=True).warm_up(messages=True)
+    EstimatingSimulator(load_scene(values)).warm_up(messages=True)
 
 
 def build(folder: str, editable: bool) -> None:
