@@ -118,6 +118,14 @@ def test_imports_point_down():
     assert not {'model', 'steps', 'topics'} & importing('pathlib', 'yaml', 'mcap', 'os')
 
 
+def test_more_than_five_fields_are_given_by_name():
+    made = [node for path in MODULES.values() for node in ast.walk(ast.parse(path.read_text()))
+            if isinstance(node, ast.Call)
+            and re.fullmatch(r'(\w+\.)*_?[A-Z]\w*', ast.unparse(node.func))]
+    assert len(made) > 500
+    assert not [ast.unparse(call) for call in made if len(call.args) > 5]
+
+
 def test_what_is_private_to_rclpy_is_used_in_one_module():
     private = re.compile(r'rclpy\.(_|experimental)|\._parameter_overrides|take_message|'
                          r'\.handle\b')

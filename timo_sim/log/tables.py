@@ -385,8 +385,9 @@ class Recording:
         order = np.argsort(ns, kind='stable')
         resets, step, log_ns, ns, values, messages = (
             array[order] for array in (resets, step, log_ns, ns, values, messages))
-        return Series(collector.topic, collector.columns, step, ns, log_ns, values,
-                      collector.refused, resets, messages.tolist() if collector.command else [])
+        return Series(topic=collector.topic, columns=collector.columns, step=step, ns=ns,
+                      log_ns=log_ns, values=values, refused=collector.refused, resets=resets,
+                      data=messages.tolist() if collector.command else [])
 
     def _steps_of_commands(self, sent, stamps, resets):
         """

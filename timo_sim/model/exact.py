@@ -91,13 +91,16 @@ class Exact(Formulation):
         self._kernel, self._slope = kernel, rotation + shear
         push = self.push_point.integral.T if self.push_point else np.empty((0, len(rotation)))
         tables = Tables(
-            self.mass, kernel if one_axis else kernel[:1], to_centre, rotation.T, shear.T, rotary,
-            np.empty((0, 0)), damping, self.manipulator.carrier_friction,
-            np.array(self.manipulator.coulomb), np.reshape(self.manipulator.motor_limit, (-1, 2)),
-            self.axes, self.held_position,
-            self.points.integral[:, -1], at_points[-1], self.mass * self.gravity, push,
-            self._stretch[len(self._stretch) - self.axial:], np.append(0.0, modes.omega**2),
-            np.empty((0, 2, 0)), -1, 0.0, np.empty((0, 0)), gear)
+            mass=self.mass, kernel=kernel if one_axis else kernel[:1], to_centre=to_centre,
+            rotation=rotation.T, shear=shear.T, rotary=rotary, straight=np.empty((0, 0)),
+            damping=damping, carrier_friction=self.manipulator.carrier_friction,
+            coulomb=np.array(self.manipulator.coulomb),
+            motor_limit=np.reshape(self.manipulator.motor_limit, (-1, 2)), axes=self.axes,
+            held_position=self.held_position, to_tip=self.points.integral[:, -1],
+            tip_rotation=at_points[-1], weight=self.mass * self.gravity, push=push,
+            stretch=self._stretch[len(self._stretch) - self.axial:],
+            stiffness=np.append(0.0, modes.omega**2), linear_rate=np.empty((0, 2, 0)), sector=-1,
+            bands_per_speed=0.0, turning=np.empty((0, 0)), gear=gear)
         tables, linear = self._with_linear_part(tables, locked if one_axis else None)
         if self.sectors and self.axial:
             self._band = BAND * modes.omega[0]

@@ -82,10 +82,11 @@ class SimNode(ParameterNode):
         self._log = RunLog(self.get_logger())
         self._commands = Commands(self, values['motor.dc.resistance'] > 0.0, self.frames)
         self._outlets = self._make_outlets(scene)
-        self._loop = Loop(self._simulator, values, self._commands, self._outlets, self._log,
-                          self.get_logger(), end)
-        self._health = Health(self, self._simulator, self._loop, self._commands, self._log,
-                              values['publish_clock'])
+        self._loop = Loop(simulator=self._simulator, values=values, commands=self._commands,
+                          outlets=self._outlets, log=self._log, logger=self.get_logger(), end=end)
+        self._health = Health(node=self, simulator=self._simulator, loop=self._loop,
+                              commands=self._commands, log=self._log,
+                              publishes_clock=values['publish_clock'])
         self._loop.configure(values, steps_each)
         self._description = Outlet(self, DESCRIPTION, TEXT, values['publish_tf'], latched=True)
         self._scene_topic = Outlet(self, '~/scene', TEXT, latched=True)

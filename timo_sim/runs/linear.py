@@ -269,8 +269,8 @@ def linearize(scene: SceneLike, at: np.ndarray | None = None, contact: str = '')
             _outputs(formulation, at, load + unit) - still + residual @ unit, spring)
     names = _output_names(formulation)
     bend = c[names.index('tip_transverse_m')] / formulation.manipulator.arm.length
-    return LinearModel(a, b, c, d, state_names(formulation), tuple(inputs), names, equilibrium,
-                       places, bend=bend)
+    return LinearModel(A=a, B=b, C=c, D=d, states=state_names(formulation), inputs=tuple(inputs),
+                       outputs=names, equilibrium=equilibrium, places=places, bend=bend)
 
 
 def in_contact(scene: Scene, model: Formulation, at: np.ndarray,

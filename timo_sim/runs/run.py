@@ -314,8 +314,9 @@ def run_scene(scene: Scene, steps: int, sample_every: int = 1,
         stats = {'steps': step, 'wall_time_s': time.monotonic() - begun,
                  'estimated_tip_error_m': math.nan, 'estimated_deflection_error_m': math.nan,
                  'impact_loss_J': simulator.tip_load.lost}
-        return Run(scene, scene.build(), np.arange(samples.stop) * sample_every * scene.step,
-                   motion[samples], heat[samples], simulator.warning, stats,
+        return Run(scene=scene, model=scene.build(),
+                   t=np.arange(samples.stop) * sample_every * scene.step, values=motion[samples],
+                   friction_heat=heat[samples], warning=simulator.warning, stats=stats,
                    payloads=scene.payloads)
 
     while simulator.steps < steps:

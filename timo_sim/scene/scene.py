@@ -422,7 +422,8 @@ def scene_from(values: Mapping[str, Any], static: tuple[str, ...] | None = None,
         whole_ratio(name, values[name], 'integrator.step', step)
     load = Load({channel: _terms_of(channel, tuple([values[name] for name in names]), step)
                  for channel, names in _TERM_NAMES.items()}, _drive(values))
-    scene = Scene(body, constraints_of(values), load, step, values, static, keeps_axial)
+    scene = Scene(manipulator=body, constraints=constraints_of(values), load=load, step=step,
+                  values=values, static=static, keeps_axial=keeps_axial)
     check_finite(scene)
     check_slope(scene)
     return scene
@@ -524,22 +525,25 @@ def manipulator_of(values: Mapping[str, Any]) -> Manipulator:
     """Return the Manipulator that the values describe."""
     elastic, turns = values['motor.gear.stiffness'], values['motor.dc.gear_ratio']
     return Manipulator(
-        _arm(values), values['carrier.mass'], values['motor.mass'], values['motor.shaft_inertia'],
-        values['end_effector.mass'], values['end_effector.inertia'],
-        values['carrier.viscous_friction'],
-        values['motor.viscous_friction'] + (0.0 if elastic else motor_constants(values)[1]),
+        arm=_arm(values), carrier_mass=values['carrier.mass'], motor_mass=values['motor.mass'],
+        shaft_inertia=values['motor.shaft_inertia'],
+        end_effector_mass=values['end_effector.mass'],
+        end_effector_inertia=values['end_effector.inertia'],
+        carrier_friction=values['carrier.viscous_friction'],
+        shaft_friction=values['motor.viscous_friction'] + (
+            0.0 if elastic else motor_constants(values)[1]),
         # Coulomb friction without a speed is dry: joints stick, and the bodies do not know it.
-        tuple((ratio * values[f'{body}.coulomb_friction'] * (
+        coulomb=tuple((ratio * values[f'{body}.coulomb_friction'] * (
             1.0 - values[f'{body}.coulomb_rest'] * (values[f'{body}.coulomb_presliding'] > 0.0)),
                speed / ratio, values.get(f'{body}.coulomb_asymmetry', 0.0))
               if speed else (0.0, 1.0, 0.0)
               for body, ratio in (('carrier', 1.0), ('motor', 1.0), ('motor.rotor', turns))
               for speed in [values[f'{body}.coulomb_speed']]),
-        values['hub.radius'], Gear(
+        hub_radius=values['hub.radius'], gear=Gear(
             elastic, values['motor.gear.damping'], values['motor.gear.backlash'],
             turns**2 * values['motor.rotor.inertia'],
             turns**2 * values['motor.rotor.viscous_friction'] + motor_constants(values)[1])
-        if elastic else None, _motor_limit(values))
+        if elastic else None, motor_limit=_motor_limit(values))
 
 
 def _motor_limit(values):

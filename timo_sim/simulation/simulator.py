@@ -179,8 +179,9 @@ class Simulator(Stateful, PointsOfArm):
             raise ParameterError(f'state must be an array of shape {self._state.shape}, got one '
                                  f'of {np.shape(state)}')
         acts = self._state if state is None else state, self.integration.acting(self.load)
-        return Snapshot(self.scene, self.model, self.steps, self.nanoseconds, self.motion.values,
-                        self._load.tolist(), acts)
+        return Snapshot(scene=self.scene, model=self.model, step=self.steps,
+                        nanoseconds=self.nanoseconds, motion=self.motion.values,
+                        load=self._load.tolist(), acts=acts)
 
     def reset(self) -> None:
         """Return to the initial motion and the start of the loads; the count of steps goes on."""

@@ -43,9 +43,10 @@ class Propagator(NamedTuple):
 def propagator(linear: np.ndarray, step: float) -> Propagator:
     """Return the matrices of a step h [s] for linear parts L, shape (..., m, m) [1/s]."""
     (whole, phi_1, phi_2, phi_3), half = _phi_of_balanced(linear, step)
-    return Propagator(whole, half[0], 0.5 * step * half[1],
-                      step * (phi_1 - 3.0 * phi_2 + 4.0 * phi_3),
-                      step * (2.0 * phi_2 - 4.0 * phi_3), step * (4.0 * phi_3 - phi_2))
+    return Propagator(whole=whole, half=half[0], half_weight=0.5 * step * half[1],
+                      start_weight=step * (phi_1 - 3.0 * phi_2 + 4.0 * phi_3),
+                      middle_weight=step * (2.0 * phi_2 - 4.0 * phi_3),
+                      end_weight=step * (4.0 * phi_3 - phi_2))
 
 
 # The series of phi_3 is summed where the norm of its argument is at most _NORM. Cut off after
