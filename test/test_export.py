@@ -371,7 +371,30 @@ def test_refused(tmp_path):
         assert not (tmp_path / 'arm').exists()
 
 
-def test_nothing_waits_for_who_reads_a_fifo(tmp_path):
-    os.mkfifo(tmp_path / 'arm.o')
-    with pytest.raises(OSError, match='arm.o must be a regular file or none yet'):
-        timo_sim.export_c('paper', tmp_path)
+EXPORTS = """
+from pathlib import Path
+import timo_sim
+from timo_sim.runs.ros2_control import write_hardware
+scene = timo_sim.load_scene('paper', {'model.modes': 0})
+before = {*Path('code').rglob('*')}
+for export, *arguments, path in (
+        (timo_sim.export_c, 'pipe'), (timo_sim.export_c, '.'), (timo_sim.export_fmu, 'pipe'),
+        (timo_sim.export_fmu, 'pipe/arm.fmu'), (write_hardware, scene.values, 'pipe')):
+    try:
+        export(scene, *arguments, path)
+    except OSError as error:
+        print(error)
+print(len({*Path('code').rglob('*')} - before))
+"""
+
+
+def test_exports_onto_a_fifo_are_refused_before_anything_is_compiled(tmp_path):
+    for name in 'pipe', 'arm.o':
+        os.mkfifo(tmp_path / name)
+    told = subprocess.run(
+        [sys.executable, '-c', EXPORTS], cwd=tmp_path, text=True, capture_output=True, check=True,
+        env={**os.environ, 'PYTHONPATH': str(ROOT), 'NUMBA_CACHE_DIR': str(tmp_path / 'code')})
+    *lines, made = told.stdout.splitlines()
+    assert made == '0' and len(lines) == 5
+    assert 'arm.o must be a regular file or none yet' in lines.pop(1)
+    assert all('pipe' in line for line in lines)
