@@ -525,7 +525,7 @@ def fit(scene: SceneLike | None, record: RecordLike | Sequence[RecordLike], free
                          'what the residuals look like')
         doubts[bool(search.stopped):bool(search.stopped)] = name_suspects(likely)
     if posterior:
-        # The derivatives by the parameters that initial states of windows cannot make up for.
+        # Without what the initial states of windows can explain as well.
         q, _ = np.linalg.qr(whole[:, count:])
         own = whole[:, :count] - q @ (q.T @ whole[:, :count])
         information = own.T @ own

@@ -57,7 +57,7 @@ class Suspect(NamedTuple):
 
 
 class _Effect(NamedTuple):
-    """An effect that is tried; `change` takes values of a scene, sizes and shape, gives values."""
+    """An effect to try; `change(values, *sizes, *shape)` returns what differs in the scene."""
 
     name: str
     advice: str     # with a place for the first size

@@ -143,7 +143,7 @@ def plain(text: str) -> str:
 
 
 class Chunk:
-    """Messages to be compressed together; by channel flat lists of times [ns] and positions."""
+    """A chunk that grows; `index` has by channel [time, offset, time, offset, ...] [ns, B]."""
 
     def __init__(self) -> None:
         self.data = bytearray()
@@ -159,7 +159,7 @@ class Chunk:
 
 
 class Writer:
-    """Writes a stream from its first byte to its last, of a profile; `size` is what it has [B]."""
+    """Writes an MCAP file with a profile; `size` is the number of bytes so far."""
 
     def __init__(self, stream: BinaryIO, profile: str) -> None:
         self._stream, self._profile = stream, profile

@@ -217,7 +217,8 @@ class Newton(Formulation):
         return np.stack([np.zeros_like(rate), rate], axis=-1)
 
 
-# Compiled functions. `driven` is 1 if the shaft is driven or locked, so that theta has no row.
+# Compiled functions. A driven or locked shaft, `driven` = 1, has no equation of its own: the rows
+# begin at q_1.
 
 class Tables(NamedTuple):
     """

@@ -56,9 +56,9 @@ class SimNode(ParameterNode):
 
     def _prepare(self, values):
         """
-        Return what `_make` needs for parameters, among which modes and step may be chosen.
+        Resolve and check a scene, and compile it; return what `_make` needs.
 
-        All that is wrong with a scene is found here.
+        This changes nothing, and raises all errors of a scene.
         """
         tell = self.get_logger().info
         if values['model.accuracy']:
@@ -231,8 +231,8 @@ class SimNode(ParameterNode):
             self._loop.restart()
             return f'reset at step {self.steps}'
 
-    def look(self, read: Callable[[Snapshot], Any]) -> Any:
-        """Return what a function reads from the Snapshot of the present motion."""
+    def with_snapshot(self, read: Callable[[Snapshot], Any]) -> Any:
+        """Return what a function returns for the Snapshot of now; the motion stands meanwhile."""
         with self._lock:
             return read(self._loop.snapshot())
 

@@ -267,7 +267,7 @@ def segments_of(recording: Recording, scene: Scene, values: Mapping[str, Any], s
         inside.sort(key=lambda entry: entry[:2])
         result.append(Segment(first=first, last=end, commands=inside, changes=changes,
                               samples=samples, logged=logged))
-        if recording.of_scene is not None:  # the log of a node has a message for each time-out
+        if recording.reset_times is not None:  # the log of a node has a message for each time-out
             result[-1].commands = _with_timeouts(inside, recording, scene, end)
             result[-1].timeouts = len(result[-1].commands) - len(inside)
     return result

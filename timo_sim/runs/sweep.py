@@ -275,7 +275,7 @@ def _summary(run):
 
 
 def lane_kind(scene: Scene, steps: int) -> tuple[Any, ...] | None:
-    """Return what a run and those in lanes beside it have in common; None: it cannot be a lane."""
+    """Return the key by which runs are grouped into lanes; None if a run must be done alone."""
     if (scene.values['model.formulation'] != 'exact' or not scene.modal_count or refusal(scene)
             or scene.build().sectors):  # which make lanes slower than single runs
         return None

@@ -308,7 +308,7 @@ class Scene:
         values, rest = self.values, np.zeros(self.modal_count)
         position, velocity = ([values[name] for name in names] for names in (_POSITION, _VELOCITY))
         if self.load.drive is not None:
-            # At the end of the step before: what a step with a kink inside sees is not the load.
+            # The drive at the end of step -1: the stages of a step with a kink see it smoothed.
             position[2], velocity[2] = self.load.stages(-1, 1, self.step)[
                 0, AFTER, [ANGLE, SPEED]]
         q, qdot = map(self.modal, _MODAL)
@@ -532,7 +532,7 @@ def manipulator_of(values: Mapping[str, Any]) -> Manipulator:
         carrier_friction=values['carrier.viscous_friction'],
         shaft_friction=values['motor.viscous_friction'] + (
             0.0 if elastic else motor_constants(values)[1]),
-        # Coulomb friction without a speed is dry: joints stick, and the bodies do not know it.
+        # Friction without coulomb_speed is that of steps.friction, and not of the Manipulator.
         coulomb=tuple((ratio * values[f'{body}.coulomb_friction'] * (
             1.0 - values[f'{body}.coulomb_rest'] * (values[f'{body}.coulomb_presliding'] > 0.0)),
                speed / ratio, values.get(f'{body}.coulomb_asymmetry', 0.0))
@@ -841,7 +841,7 @@ def physical(values: Mapping[str, Any]) -> Iterator[None]:
         raise ParameterError(
             'the values of this scene are too large or too small together: its equations of '
             'motion or its initial energy are not finite') from None
-    except ParameterError:
+    except ParameterError:  # a ValueError that says already what to do
         raise
     except ValueError as error:
         # Only the physics finds some errors, such as modes too close to each other.
@@ -923,7 +923,7 @@ def number_of(name: str, scene: Scene, others: str = '',
     """
     Return the Parameter of a name, and its value in a scene, or raise ParameterError.
 
-    `others` says for an error what else the caller knows, and `names` names it.
+    The text of the error ends with `others`: what besides parameters would be valid, `names`.
     """
     base, place = _split_index(name)
     parameter = PARAMETERS.get(base)
@@ -970,7 +970,11 @@ def initial_names(scene: Scene) -> list[str]:
 
 
 def initial_scale(name: str, scene: Scene) -> float:
-    """Return what of the initial state moves the tip by a tenth of the arm, or turns it by 0.1."""
+    """
+    Return a change of one number of the initial state.
+
+    It moves the tip by a tenth of the arm's length, or turns it by 0.1 rad.
+    """
     base, n = _split_index(name)
     model, length = scene.build(), scene.manipulator.arm.length
     if base.startswith('initial.modal'):  # a gear turns the shaft, and no section of the arm

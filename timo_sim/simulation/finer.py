@@ -36,12 +36,12 @@ from timo_sim.simulation.warnings import (
 
 _STRETCHES = 3  # they answer centrifugal forces, an acceleration, a force on the tip
 PARTS = 2, 8, 32  # of a step, from which those of the finer run are chosen
-# A load that is picked up excites modes without end: there the error falls as 1/N.
+# A pick-up excites all modes, and the error falls only as 1/N: there are more of them.
 _MODES_OF_IMPACT, _MOST_MODES = 4, 40 + MORE_MODES
 _MODES_OF_PUSH = 2  # a force within the arm makes a kink, whose error falls slowly, too
 _LISTS = 'initial.modal_coordinates', 'initial.modal_rates'
-_MOST_BEHIND = 256  # most calls of `advance` that a finer run may be behind
-# Steps for which a finer run is called at once: a call takes as long as some steps.
+_MAX_PENDING_CALLS = 256  # most calls of `advance` that a finer run may be behind
+# A finer run advances by at least so many steps at a time: the call itself costs as much.
 STEPS_BEHIND = 8
 
 
@@ -197,8 +197,8 @@ def measure(run: Motions, warning: str | None,
         if distances[0] > 0.5 * errors[0]:
             break
         fine, errors = shorter, distances
-    # The finer run has seen a load that is too fast for the steps of the run. What `newton` leaves
-    # out may make a motion unstable that both runs do not leave.
+    # In `exact` the finer run shows already what loads that are too fast for the steps do: its own
+    # warning counts. In `newton` both runs may stay on a motion that is unstable in truth.
     earlier = (unseen_load(fine.scene) if scene.values['model.formulation'] == 'exact'
                else warning)
     remedy = (_remedy(run, round(scene.step / fine.scene.step), errors)
@@ -243,7 +243,8 @@ class _Call(NamedTuple):
     motions: np.ndarray
 
     def kind(self) -> tuple:
-        # Equal for calls that may be one; a call whose end is not sampled is one by itself.
+        # Calls of an equal kind can be done as one; one that does not end with a sample cannot be
+        # joined.
         return self.every, self.steps % self.every and id(self), (
             None if self.commanded is None else self.commanded.tobytes())
 
@@ -275,7 +276,7 @@ class EstimatingSimulator(Simulator):
             self.finer.reset()
             self._behind: list[_Call] = []
             self._errors, self._is_known = (0.0, 0.0), True
-            # The equilibrium of the finer run is another one.
+            # The finer run has its own equilibrium: the runs differ already at the start.
             self._compare(self.motion.values[np.newaxis], self.finer.motion.values[np.newaxis])
 
     def change(self, scene: SceneLike) -> None:
@@ -356,7 +357,7 @@ class EstimatingSimulator(Simulator):
             self._behind.append(_Call(
                 count, None if commanded is None else commanded.copy(), samples.every or count,
                 samples.motions[1:].copy() if samples.every else self.motion.values[np.newaxis]))
-            if len(self._behind) >= _MOST_BEHIND:
+            if len(self._behind) >= _MAX_PENDING_CALLS:
                 self.measure_error()
 
     def _rest(self, count, samples):

@@ -398,7 +398,7 @@ class Simulator(Stateful, PointsOfArm):
         self._note(count, commanded, samples)
 
     def _note(self, count, commanded, samples):
-        # The check for warnings takes as long as many steps.
+        # Check for warnings. This costs many steps: it is done after every 8th of single steps.
         if self.model.speed_limit < math.inf and (count > 1 or self.steps % _STEPS_A_CHECK == 1):
             seen = np.vstack([samples.motions, self.motion.values])
             share = self.model.axial_share(self._state, self.integration.acting(self._load))
@@ -428,7 +428,7 @@ class Simulator(Stateful, PointsOfArm):
     def _give_up(self, before, count, commanded):  # return to the last good state and raise
         self._state, self._load, memory, tip_load, self.model, self.integration = before
         self.integration.memory, self.tip_load = memory, tip_load
-        if count > 1:
+        if count > 1:  # to find the step: one half diverges again, and raises
             for part in (count // 2, count - count // 2):
                 self.advance(part, commanded)
         raise DivergenceError(warnings.divergence(
