@@ -416,7 +416,6 @@ _TARGET = _Target('timo_sim')
 
 
 # Passes for what compiled functions do not have: closures, `with`, array expressions, and such.
-# They take a third of numba's time.
 _UNUSED = {
     untyped_passes.DeadBranchPrune, untyped_passes.FindLiterallyCalls,
     untyped_passes.InlineClosureLikes, untyped_passes.InlineInlinables,
