@@ -44,7 +44,7 @@ view: $(VENV)/.gallery ## show the run of `make sim` in rerun, with VIEW=--web i
 
 # The processes of pytest fill the cores; threads of BLAS would only wait for each other.
 test test-lowest test-without-ros: export OPENBLAS_NUM_THREADS := 1
-PYTEST := -m pytest test --numprocesses 3 --dist loadfile --no-loadscope-reorder
+PYTEST := -m pytest test --numprocesses 3 --dist worksteal
 test: $(VENV)/.test graphics ## pass all tests
 	@$(BIN)/python $(PYTEST)
 

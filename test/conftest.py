@@ -1,7 +1,7 @@
 # Copyright 2026 The timo_sim authors
 # SPDX-License-Identifier: Apache-2.0
 
-"""Fixtures and settings of all tests: scenes, reference, DDS domain, order, tests left out."""
+"""Fixtures and settings of all tests: scenes, reference, DDS domain, tests left out."""
 
 from contextlib import ExitStack
 from importlib.util import find_spec
@@ -37,21 +37,6 @@ def pytest_collection():
         if any(ROOT.glob(last)):  # another was here
             stack.close()
         yield
-
-
-# The longest files begin first; files that wait for nodes stand between those that compute.
-LONGEST = [f'test_{name}.py' for name in (
-    'project export examples process compiled node accuracy lock_step export_fmu looking '
-    'extending same_bits sweep_command tutorial peers recover view equations fit write stretch '
-    'read sweep api topics steps stress formulations payload ros2_control linear '
-    'step_derivatives estimated_error batch fit_statistics gravity friction push parameters '
-    'joints observer').split()]
-
-
-def pytest_collection_modifyitems(items):
-    """Sort the files, in the order in which `--dist loadfile --no-loadscope-reorder` runs them."""
-    place = {name: number for number, name in enumerate(LONGEST)}
-    items.sort(key=lambda item: place.get(item.path.name, len(LONGEST)))
 
 
 @pytest.fixture(scope='session')

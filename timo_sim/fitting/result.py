@@ -226,7 +226,7 @@ class Fit(Prediction):
 
     def __repr__(self) -> str:
         found = ', '.join(f'{name} = {value:.4g}' for name, value in self.values.items())
-        best = 'best so far: ' * bool(self.stopped)
+        best = 'best so far: ' if self.stopped else ''
         return f'<Fit of {self.record.source}: {best}{found or "nothing is identified"}>'
 
     def plot(self) -> Figure:
@@ -579,7 +579,7 @@ def _expect(search, run, columns, quick):
     seconds = _RUNS * columns * run
     text = (f'a run of the records takes {run:.2g} s, a fit of {columns} parameters from one '
             f'start some {seconds:.2g} s, or ten times that if the model lacks something'
-            + (not quick) * '; what follows the search may take as long again')
+            + ('' if quick else '; what follows the search may take as long again'))
     if seconds > _LONG:
         text += '; for less, fit fewer parameters to a part of the record, with fewer modes' + (
             ', and give friction a coulomb_speed: where it sticks runs are slower, and searches '

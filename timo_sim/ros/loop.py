@@ -304,7 +304,8 @@ class Pace:
         lost = self.dropped_steps * self._step
         if lost:
             return f'{late}{lost:.6g} s of sim time were lost to delays beyond catch_up_limit'
-        return late + 'all were caught up, ' * bool(late) + 'no sim time was lost'
+        return f'{late}all were caught up, no sim time was lost' if late else (
+            'no sim time was lost')
 
     def deadline(self, steps: int) -> float:
         """Return the wall time of the next tick [s]."""
