@@ -2,7 +2,7 @@
 #   docker build -t timo_sim . && docker run --rm timo_sim ros2 run timo_sim sim_node
 ARG ROS_DISTRO=jazzy
 
-# What it needs to run, but for RViz.
+# What it needs to run.
 FROM ros:${ROS_DISTRO}-ros-core AS base
 SHELL ["/bin/bash", "-eo", "pipefail", "-c"]
 WORKDIR /ws
@@ -10,7 +10,7 @@ COPY package.xml requirements-pip.txt src/timo_sim/
 RUN apt-get update \
     && apt-get install -y --no-install-recommends python3-rosdep python3-venv \
     && rosdep init && rosdep update --rosdistro "$ROS_DISTRO" \
-    && rosdep install --from-paths src --dependency-types exec --skip-keys rviz2 -y \
+    && rosdep install --from-paths src --dependency-types exec -y \
     && python3 -m venv --system-site-packages venv \
     && venv/bin/pip install --no-cache-dir -r src/timo_sim/requirements-pip.txt \
     && rm -rf /var/lib/apt/lists/*

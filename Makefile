@@ -26,7 +26,7 @@ METADATA := pyproject.toml setup.py setup.cfg
 
 .PHONY: help sim view test test-lowest test-without-ros graphics gallery picture modes pages paper \
 	benchmark benchmark-quick benchmark-speed benchmark-speed-quick benchmark-latency benchmark-control \
-	benchmark-fit observer references real-arm stability stretch stress stress-quick docs clean
+	benchmark-fit composition observer references real-arm stability stretch stress stress-quick docs clean
 
 help: ## list the targets
 	@sed -n 's/^\([a-z-]*\):.*## /\1\t/p' $(MAKEFILE_LIST) | expand -t 24
@@ -44,7 +44,7 @@ view: $(VENV)/.gallery ## show the run of `make sim` in rerun, with VIEW=--web i
 
 # The processes of pytest fill the cores; threads of BLAS would only wait for each other.
 test test-lowest test-without-ros: export OPENBLAS_NUM_THREADS := 1
-PYTEST := -m pytest test --numprocesses 3 --dist loadfile --no-loadscope-reorder
+PYTEST := -m pytest test --numprocesses 3 --dist worksteal
 test: $(VENV)/.test graphics ## pass all tests
 	@$(BIN)/python $(PYTEST)
 
@@ -111,6 +111,9 @@ benchmark-control: $(VENV)/.plot ## compare the example controllers
 
 benchmark-fit: $(VENV)/.run ## fit made records for doc/fit.md, a quarter of an hour
 	@$(BIN)/python -m benchmark.accuracy.fits
+
+composition: $(VENV)/.benchmark ## try each effect in each use, and pairs of effects
+	@$(BIN)/python -m benchmark.composition
 
 benchmark-latency: $(VENV)/.benchmark ## measure the time from a command to its effect
 	@$(BIN)/python -m benchmark.speed.latency

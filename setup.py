@@ -39,6 +39,6 @@ setup(
         # links to setup.py, setup.cfg, the package and these files alone.
         ('share/timo_sim', ['package.xml', 'pyproject.toml', 'README.md']),
         ('share/timo_sim/config', sorted(glob('config/*'))),
-        ('share/timo_sim/launch', sorted(glob('launch/*.launch.py'))),
+        ('share/timo_sim/example', sorted(glob('example/*.*'))),
     ],
 )

@@ -1,7 +1,7 @@
 # Copyright 2026 The timo_sim authors
 # SPDX-License-Identifier: Apache-2.0
 
-"""Fixtures and settings of all tests: scenes, reference, DDS domain, order, tests left out."""
+"""Fixtures and settings of all tests: scenes, reference, DDS domain, tests left out."""
 
 from contextlib import ExitStack
 from importlib.util import find_spec
@@ -39,21 +39,6 @@ def pytest_collection():
         yield
 
 
-# The longest files begin first; files that wait for nodes stand between those that compute.
-LONGEST = [f'test_{name}.py' for name in (
-    'project export examples process compiled node accuracy lock_step export_fmu looking '
-    'extending same_bits sweep_command tutorial peers recover view equations fit write stretch '
-    'read sweep api topics steps stress formulations payload ros2_control linear '
-    'step_derivatives estimated_error batch fit_statistics gravity friction push parameters '
-    'joints observer').split()]
-
-
-def pytest_collection_modifyitems(items):
-    """Sort the files, in the order in which `--dist loadfile --no-loadscope-reorder` runs them."""
-    place = {name: number for number, name in enumerate(LONGEST)}
-    items.sort(key=lambda item: place.get(item.path.name, len(LONGEST)))
-
-
 @pytest.fixture(scope='session')
 def paper():
     """Path of the paper's scene."""
@@ -68,15 +53,21 @@ def spin_up():
 
 @pytest.fixture(scope='session')
 def installed(tmp_path_factory):
-    """Install the package with colcon; return its prefix and the environment with it."""
-    folder = tmp_path_factory.mktemp('colcon')
+    """
+    Install node and launch files with colcon; return the prefix and the environment with it.
+
+    As pip does, it hands on what a build needs by PYTHONPATH, to a Python that has nothing else.
+    """
+    folder, packages = tmp_path_factory.mktemp('colcon'), sysconfig.get_path('purelib')
     subprocess.run(
-        [sys.executable, '-m', 'colcon', '--log-base', folder / 'log', 'build',
-         '--base-paths', ROOT, '--packages-select', 'timo_sim', '--build-base', folder / 'build',
-         '--install-base', folder / 'install'], check=True, cwd=folder, capture_output=True)
-    prefix = folder / 'install' / 'timo_sim'
-    paths = {'PYTHONPATH': sysconfig.get_path('purelib', vars={'base': str(prefix)}),
-             'AMENT_PREFIX_PATH': str(prefix)}
+        [sys._base_executable, '-m', 'colcon', '--log-base', folder / 'log', 'build',
+         '--base-paths', ROOT, ROOT / 'bringup', '--build-base', folder / 'build',
+         '--install-base', folder / 'install', '--merge-install'],
+        check=True, cwd=folder, capture_output=True,
+        env={**os.environ, 'PYTHONPATH': packages})
+    prefix = folder / 'install'
+    built = sysconfig.get_path('purelib', vars={'base': str(prefix)})
+    paths = {'PYTHONPATH': f'{built}{os.pathsep}{packages}', 'AMENT_PREFIX_PATH': str(prefix)}
     return prefix, {**os.environ, **{
         name: os.pathsep.join(filter(None, (path, os.environ.get(name))))
         for name, path in paths.items()}}

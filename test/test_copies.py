@@ -41,7 +41,7 @@ def moving(scene):
     noisy = timo_sim.load_scene(scene, {'sensor.encoder.noise': 1e-4})
     observer, batch = timo_sim.observer(noisy), timo_sim.Batch(scene, n=9)
     rough = timo_sim.load_scene(scene, {'motor.coulomb_friction': 0.1})
-    simulators = [timo_sim.Simulator(scene, True), timo_sim.Simulator(rough), batch]
+    simulators = [timo_sim.EstimatingSimulator(scene), timo_sim.Simulator(rough), batch]
     yield from ((each, lambda each: each.step(torque=2.0, duration=0.02).values)
                 for each in simulators)
     yield observer, lambda each: each.update(

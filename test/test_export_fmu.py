@@ -187,7 +187,7 @@ def test_inputs_act_in_the_next_step(make):
 
 
 def test_estimated_error(make, scene):
-    unit, simulator = make().begin(), timo_sim.Simulator(scene, estimate=True)
+    unit, simulator = make().begin(), timo_sim.EstimatingSimulator(scene)
     assert unit.get('estimated_tip_error_m') == [0.0]
     for torque in (1.0, -2.0):
         unit.set('torque_N_m', torque)

@@ -143,8 +143,6 @@ def test_urdf(program, tmp_path):
             'position', 'velocity', 'effort']
     plugin = ElementTree.parse(ROOT / 'hardware/timo_sim_hardware.xml').find('class').get('name')
     assert block.find('hardware/plugin').text == plugin
-    package = ElementTree.parse(ROOT / 'hardware/package.xml')
-    assert package.find('version').text == timo_sim.__version__
     turned = {f'orientation.{axis}' for axis in 'xyzw'}
     names = {sensor.get('name'): {each.get('name') for each in sensor} for sensor in
              block.iterfind('sensor')}

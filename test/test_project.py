@@ -8,13 +8,11 @@ from decimal import Decimal
 from graphlib import TopologicalSorter
 from html import unescape
 import importlib.util
-import os
 from pathlib import Path
 from posixpath import dirname, join, normpath
 import re
 import subprocess
 import sys
-import sysconfig
 import tomllib
 from types import SimpleNamespace
 
@@ -22,11 +20,12 @@ import pytest
 import timo_sim
 from timo_sim import extras
 from timo_sim.compiled.machine import COMPILING
+from timo_sim.topics.cdr import DEFINITIONS
 import yaml
 
 ROOT = Path(__file__).resolve().parents[1]
-FOLDERS = [folder for folder in ('timo_sim', 'test', 'launch', 'benchmark', 'doc', 'example',
-                                 'setup.py') if (ROOT / folder).exists()]
+FOLDERS = [folder for folder in ('timo_sim', 'test', 'bringup', 'hardware', 'benchmark', 'doc',
+                                 'example', 'setup.py') if (ROOT / folder).exists()]
 _SPEC = importlib.util.spec_from_file_location('tables', ROOT / 'doc' / 'tables.py')
 tables = importlib.util.module_from_spec(_SPEC)
 _SPEC.loader.exec_module(tables)
@@ -44,8 +43,8 @@ def python(*arguments, **options):
 def test_linters():
     started = [subprocess.Popen([sys.executable, '-m', *command], cwd=ROOT, text=True,
                                 stdout=subprocess.PIPE, stderr=subprocess.STDOUT)
-               for command in (['flake8', *FOLDERS], ['pydocstyle', 'timo_sim', 'launch'],
-                               ['mypy', 'timo_sim'])]
+               for command in (['flake8', *FOLDERS], ['mypy', 'timo_sim'],
+                               ['pydocstyle', 'timo_sim', 'bringup', 'hardware'])]
     told = [process.communicate()[0] for process in started]
     assert not any(process.returncode for process in started), '\n'.join(told)
 
@@ -119,6 +118,14 @@ def test_imports_point_down():
     assert not {'model', 'steps', 'topics'} & importing('pathlib', 'yaml', 'mcap', 'os')
 
 
+def test_more_than_five_fields_are_given_by_name():
+    made = [node for path in MODULES.values() for node in ast.walk(ast.parse(path.read_text()))
+            if isinstance(node, ast.Call)
+            and re.fullmatch(r'(\w+\.)*_?[A-Z]\w*', ast.unparse(node.func))]
+    assert len(made) > 500
+    assert not [ast.unparse(call) for call in made if len(call.args) > 5]
+
+
 def test_what_is_private_to_rclpy_is_used_in_one_module():
     private = re.compile(r'rclpy\.(_|experimental)|\._parameter_overrides|take_message|'
                          r'\.handle\b')
@@ -150,7 +157,7 @@ EXTRAS = PROJECT['optional-dependencies']
 # Distributions by module, where the names differ.
 DISTRIBUTIONS = {'llvmlite': 'numba', 'PIL': 'pillow', 'rerun': 'rerun-sdk',
                  'rerun_cli': 'rerun-sdk', 'yaml': 'pyyaml'}
-# ROS packages that the node uses where they are installed, as README.md says.
+# ROS packages that the node uses where they are installed.
 OPTIONAL_ROS = {'simulation_interfaces'}
 
 
@@ -167,34 +174,41 @@ def listed(name):
     return [line for line in lines if line and not line.startswith('#')]
 
 
+ROSDEP = yaml.safe_load((ROOT / 'test/data/rosdep_keys.yaml').read_text())
+
+
 @pytest.fixture(scope='module')
-def package():
-    """Return package.xml, the keys that it needs to run, and the rules of rosdep."""
+def packages():
+    """Return for each of the packages, by name, its package.xml and the keys it needs to run."""
     from catkin_pkg.package import parse_package
-    package = parse_package(str(ROOT / 'package.xml'))
-    package.validate()
-    return (package, {depend.name for depend in package.exec_depends},
-            yaml.safe_load((ROOT / 'test/data/rosdep_keys.yaml').read_text()))
+    parsed = [parse_package(str(ROOT / folder)) for folder in ('', 'bringup', 'hardware')]
+    return {package.name: (package, {depend.name for depend in package.exec_depends})
+            for package in parsed}
 
 
-def test_metadata_agree(package):
+def test_metadata_agree(packages):
     """Of package.xml, pyproject.toml, setup.py, CHANGELOG.md and the lists of versions."""
-    package, run_keys, rosdep = package
-    assert (package.get_build_type(), package.name, package.licenses, package.version) == (
-        'ament_python', PROJECT['name'], ['Apache-2.0'], timo_sim.__version__)
+    assert {name: package.get_build_type() for name, (package, _) in packages.items()} == {
+        PROJECT['name']: 'ament_python', 'timo_sim_bringup': 'ament_python',
+        'timo_sim_hardware': 'ament_cmake'}
+    for name, (package, _) in packages.items():
+        package.validate()
+        assert package.licenses == ['Apache-2.0'] and package.version == timo_sim.__version__
+        # rosdep installs every dependency with apt.
+        assert not {depend.name for kind in ('build', 'build_export', 'buildtool', 'exec', 'test')
+                    for depend in getattr(package, f'{kind}_depends')
+                    } - {*ROSDEP['apt'], *ROSDEP['ros'], *packages}
+    version = f"version='{timo_sim.__version__}'"
+    assert version in (ROOT / 'bringup/setup.py').read_text()
     assert f'## {timo_sim.__version__}' in (ROOT / 'CHANGELOG.md').read_text()
-    # rosdep installs every dependency with apt.
-    assert not [depend.name for kind in ('build', 'build_export', 'buildtool', 'exec', 'test')
-                for depend in getattr(package, f'{kind}_depends')
-                if not rosdep['apt'].get(depend.name) and not rosdep['ros'].get(depend.name)]
     # package.xml and the pip list make up the dependencies.
-    keys = {key.removeprefix('python3-') for key in run_keys & {*rosdep['apt']}}
+    keys = {key.removeprefix('python3-') for key in packages['timo_sim'][1] & {*ROSDEP['apt']}}
     from_apt = {DISTRIBUTIONS.get(key, key) for key in keys}
     without_key = listed('requirements-pip.txt')
     assert {*without_key} <= {*PROJECT['dependencies']}
     assert from_apt.isdisjoint(requirements(without_key))
     assert from_apt | {*requirements(without_key)} == {*requirements(PROJECT['dependencies'])}
-    assert {*requirements(without_key)} <= {*rosdep['none']}
+    assert {*requirements(without_key)} <= {*ROSDEP['none']}
     assert 'requirements-pip.txt' in PAGES['README.md']
     # Every version that is asked for is pinned and allowed.
     optional = [line for extra in ('cluster', 'control', 'pandas', 'plot', 'rl', 'sweep')
@@ -208,18 +222,26 @@ def test_metadata_agree(package):
             assert requirement.specifier.contains(version), (name, version)
 
 
-def test_imports_are_declared(package):
-    _, run_keys, rosdep = package
+def test_imports_are_declared(packages):
     declared = {*requirements(PROJECT['dependencies'])}
     for extra in re.findall(r'\w+', EXTRAS['all'][0].partition('[')[2]):
         declared |= {*requirements(EXTRAS[extra])}
-    ros = (run_keys & {*rosdep['ros']}) | OPTIONAL_ROS
-    imported = {module.split('.')[0]: path for path in (
-        *MODULES.values(), *ROOT.glob('launch/*.py')) for module in named_modules(path)}
-    assert imported.keys() >= {'numpy', 'rclpy', 'launch'}
+    imported = {module.split('.')[0]: path for path in MODULES.values()
+                for module in named_modules(path)}
+    ros = imported.keys() & {*ROSDEP['ros']}
     assert not {module: path for module, path in imported.items()
-                if module not in {*sys.stdlib_module_names, 'timo_sim'} | ros
+                if module not in {*sys.stdlib_module_names, 'timo_sim', *ros}
                 and DISTRIBUTIONS.get(module, module) not in declared}
+    # A node without a screen pulls in what it imports and the types of its topics, and no more.
+    types = {name.split('/')[0] for name in DEFINITIONS}
+    assert packages['timo_sim'][1] & {*ROSDEP['ros']} == (ros | types) - OPTIONAL_ROS
+    for folder in 'bringup', 'hardware':
+        files = [*(ROOT / folder / 'launch').iterdir()]
+        modules = {name.split('.')[0] for path in files for name in named_modules(path)}
+        started = {name for path in files
+                   for name in re.findall(r"package='(\w+)'", path.read_text())}
+        assert files and started | modules - {*sys.stdlib_module_names} <= packages[
+            f'timo_sim_{folder}'][1]
 
 
 def test_tests_that_are_left_out_are_named_and_the_workflow_leaves_out_none(monkeypatch):
@@ -268,20 +290,13 @@ for use in (lambda: run.plot(), lambda: run.view(), lambda: run.to_pandas(),
         assert any(name in line for line in EXTRAS[extra]), package
 
 
-def test_a_build_sees_what_pip_has_installed_for_it(tmp_path):
-    """pip hands on by PYTHONPATH what a build needs, to a Python that has nothing else."""
-    subprocess.run([sys._base_executable, 'setup.py', '-q', 'build_py', '--build-lib', tmp_path],
-                   cwd=ROOT, check=True, capture_output=True,
-                   env={**os.environ, 'PYTHONPATH': sysconfig.get_path('purelib')})
-    assert any(tmp_path.glob('timo_sim/compiled/prebuilt/*.bc'))
-    # The first run of a usual scene compiles nothing, nor does the finer one: no store is made.
+def test_the_first_run_of_a_usual_scene_compiles_nothing(installed, tmp_path):
+    """Nor does the finer one: no store is made."""
     for scene, modes, store in ('paper', 5, False), ('arm', 3, False), ('paper', 6, True):
         subprocess.run(
-            [sys.executable, '-m', 'timo_sim', 'simulate', ROOT / f'config/{scene}.yaml', '--set',
-             f'model.modes={modes}', '--duration', '0.1', '-o', 'run.mcap'],
-            cwd=tmp_path, check=True, capture_output=True, env={
-                **os.environ, 'PYTHONPATH': str(tmp_path),
-                'NUMBA_CACHE_DIR': str(tmp_path / 'store')})
+            [sys.executable, '-m', 'timo_sim', 'simulate', scene, '--set', f'model.modes={modes}',
+             '--duration', '0.1', '-o', 'run.mcap'], cwd=tmp_path, check=True, capture_output=True,
+            env={**installed[1], 'NUMBA_CACHE_DIR': str(tmp_path / 'store')})
         assert (tmp_path / 'store').exists() == store
 
 
@@ -289,11 +304,13 @@ def test_colcon_builds_and_the_installed_node_runs(installed, tmp_path):
     import rclpy  # noqa: F401  # without which there is no node
     prefix, environment = installed
     share = prefix / 'share' / 'timo_sim'
-    assert (prefix / 'share/ament_index/resource_index/packages/timo_sim').exists()
-    for folder in 'config', 'launch':
-        for path in (ROOT / folder).glob('*.*'):
-            assert (share / folder / path.name).read_text() == path.read_text()
-    assert (share / 'package.xml').exists() and any(prefix.rglob('compiled/prebuilt/*.bc'))
+    for name, folder in ('timo_sim', '.'), ('timo_sim_bringup', 'bringup'):
+        assert (prefix / 'share/ament_index/resource_index/packages' / name).exists()
+        for path in (path for pattern in ('package.xml', 'config/*', 'example/*.*', 'launch/*')
+                     for path in (ROOT / folder).glob(pattern)):
+            place = prefix / 'share' / name / path.relative_to(ROOT / folder)
+            assert place.read_text() == path.read_text()
+    assert any(prefix.rglob('compiled/prebuilt/*.bc'))
     assert {path.name for path in (prefix / 'lib/timo_sim').iterdir()} == {*PROJECT['scripts']}
     # The programs that `ros2 run timo_sim` starts, and a scene by its name.
     for command, words in (
@@ -301,9 +318,9 @@ def test_colcon_builds_and_the_installed_node_runs(installed, tmp_path):
               'duration:=0.5', '-p', 'record_file:=run.mcap'], 'simulated 0.5 s'),
             (['timo_sim', 'info', 'run.mcap'], 'sim time  0 to 0.5 s'),
             (['timo_sim', 'simulate', 'spin_up', '--duration', '0.1'], 'no warnings')):
-        told = subprocess.run([prefix / 'lib/timo_sim' / command[0], *command[1:]], cwd=tmp_path,
-                              env=environment, text=True, stdout=subprocess.PIPE,
-                              stderr=subprocess.STDOUT)
+        told = subprocess.run(
+            [sys.executable, prefix / 'lib/timo_sim' / command[0], *command[1:]], cwd=tmp_path,
+            env=environment, text=True, stdout=subprocess.PIPE, stderr=subprocess.STDOUT)
         assert told.returncode == 0 and words in told.stdout, told.stdout
 
 
@@ -406,3 +423,13 @@ def test_the_site(tmp_path):
     # Nothing is loaded from the network: MathJax is part of the site.
     assert not re.findall(r'<(?:script|link|img)[^>]*(?:src|href)="(https?:[^"]*)',
                           '\n'.join(site.values()))
+
+
+def test_only_the_module_of_finer_runs_makes_a_simulator_beside_another():
+    made = {}
+    for path in sorted((ROOT / 'timo_sim').rglob('*.py')):
+        tree = ast.parse(path.read_text(encoding='utf-8'))
+        calls = (node.func for node in ast.walk(tree) if isinstance(node, ast.Call))
+        made[path.name] = sum(getattr(each, 'id', '') == 'Simulator' for each in calls)
+    assert [name for name, count in made.items() if count > 1] == ['finer.py']
+    assert not made['simulator.py']

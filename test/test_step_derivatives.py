@@ -32,8 +32,11 @@ SCENES = {
         **MOVING, **RUBS, 'initial.modal_rates': [0.3, 0.2, 0.01], 'motor.gear.stiffness': 2000.0,
         'motor.gear.damping': 5.0, 'motor.rotor.inertia': 0.001, 'motor.dc.gear_ratio': 10.0,
         'motor.gear.backlash': 1e-4},
-    'one axis held': {**MOVING, 'carrier.held': 'y', 'gravity': [1.0, -9.81],
-                      'initial.shaft': 0.1, 'initial.shaft_velocity': 0.0},
+    'one axis held, presliding': {
+        **MOVING, 'carrier.held': 'y', 'gravity': [1.0, -9.81], 'initial.shaft': 0.1,
+        'initial.shaft_velocity': 0.0, 'motor.coulomb_friction': 0.5,
+        'motor.coulomb_presliding': 0.5, 'carrier.coulomb_friction': 1.0,
+        'carrier.coulomb_presliding': 0.01},
     'newton': {**MOVING, **RUBS, 'model.formulation': 'newton', 'carrier.held': 'x',
                'gravity': [1.0, -9.81], 'push.position': 0.7}}
 
@@ -51,9 +54,10 @@ def test_derivatives_are_those_of_three_steps(name):
     if 'push.position' in values:
         loads[..., [PUSH_X, PUSH_Y]] = 4.0, -3.0
     loads[..., [ANGLE, SPEED]] = load[[ANGLE, SPEED]]
-    samples = steps.samples(3, 3)
+    samples, memory = steps.samples(3, 3), steps.memory.copy()
 
     def end(motion, added=0.0):
+        steps.memory[:] = memory
         assert steps.advance(model.state(motion), load, loads + added, samples) == 3
         return samples.motions[1].copy()
 
@@ -69,6 +73,7 @@ def test_derivatives_are_those_of_three_steps(name):
                                   for each in unit])
     held = [k for k in range(3) if model.constrained[k]]
     expected[:, held + [size // 2 + k for k in held]] = 0.0
+    steps.memory[:] = memory
     found = step_derivatives(steps, model.state(start), load, loads, unit)
     scale = np.maximum(np.abs(expected).max(axis=1, keepdims=True), 1e-6)
     assert np.abs(found - expected).max() > 0.0
@@ -78,8 +83,7 @@ def test_derivatives_are_those_of_three_steps(name):
 def test_derivatives_of_a_turn_are_those_of_its_parts():
     """With one axis held, and a shaft that turns from one sector into another."""
     simulator = timo_sim.Simulator(timo_sim.load_scene({}, {
-        **SCENES['one axis held'], 'initial.shaft': 0.95 * np.pi / 16,
-        'initial.shaft_velocity': 5.0}))
+        **MOVING, 'carrier.held': 'y', 'initial.shaft': 0.95 * np.pi / 16}))
     other = copy(simulator)
     whole = simulator.step_derivatives(['torque'], duration=0.01, torque=1.0)
     parts = [other.step_derivatives(['torque'], duration=0.005, torque=1.0) for _ in range(2)]
@@ -127,6 +131,6 @@ def test_bad_inputs_and_motions_are_refused():
             (lambda: simulator.step_derivatives(['voltage']), 'needs motor.dc.resistance > 0'),
             (lambda: simulator.set_motion([0.0]), 'motion must be 12 finite numbers'),
             (lambda: simulator.set_motion(np.full(12, np.nan)), 'finite'),
-            (lambda: timo_sim.Simulator('paper', True).set_motion(np.zeros(12)), 'estimate')):
+            (lambda: timo_sim.EstimatingSimulator('paper').set_motion(np.zeros(12)), 'estimate')):
         with pytest.raises(timo_sim.ParameterError, match=words):
             call()

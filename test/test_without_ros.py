@@ -87,6 +87,6 @@ def test_an_example_says_how_it_runs_without_ros(python):
     assert 'the node needs ROS 2' in told and '--loop runs without it' in told
 
 
-def test_teleop_says_what_is_missing(python):
-    told = python('-m', 'timo_sim', 'teleop', code=1)
-    assert told == "timo_sim: geometry_msgs is missing: pip install 'timo_sim[ros]'\n"
+def test_send_says_what_is_missing(python):
+    told = python('-m', 'timo_sim', 'send', 'motor_torque', '1', code=1)
+    assert told == "timo_sim: rclpy is missing: pip install 'timo_sim[ros]'\n"

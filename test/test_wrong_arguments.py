@@ -68,7 +68,8 @@ def calls(folder):
     yield timo_sim.open_log, {'path': run.save(folder / 'log.mcap'), 'node': None}, {
         'node': "None ''"}
 
-    yield timo_sim.Simulator, {'scene': scene, 'estimate': False}, {'scene': '{}'}
+    yield timo_sim.Simulator, {'scene': scene}, {'scene': '{}'}
+    yield timo_sim.EstimatingSimulator, {'scene': scene}, {'scene': '{}'}
     yield simulator.snapshot, {'state': None}, {'state': none}
     yield simulator.change, {'scene': scene}, {}
     yield simulator.warm_up, {'tell': None, 'messages': False}, {'tell': none}
@@ -78,7 +79,7 @@ def calls(folder):
         'inputs': '[]', 'duration': 'None 0', 'torque': number}
     yield simulator.set_motion, {'motion': run.values[0]}, {}
     yield simulator.advance, {'count': 1, 'commanded': None, 'sample_every': 1}, whole
-    yield simulator.measure_error, {'steps': 0}, {'steps': '0'}
+    yield timo_sim.EstimatingSimulator(scene).measure_error, {'steps': 0}, {'steps': '0'}
 
     yield timo_sim.Batch, {'scenes': scene, 'n': 2}, {'scenes': '{}', 'n': none}
     yield batch.step, {'torque': 1.0, 'force': [0.0, 1.0], 'duration': 0.001}, {
@@ -103,8 +104,7 @@ def calls(folder):
     yield timo_sim.modes(bent).shapes, {'xi': [0.5]}, {'xi': '0 []'}
     yield timo_sim.sensitivities, {
         'scene': scene, 'duration': 0.001, 'output': timo_sim.Batch.rotation,
-        'parameters': ['motor.shaft_inertia'], 'commands': {'torque': 1.0}, 'samples': 1}, {
-            'parameters': '[] {}', 'commands': 'None {}', 'scene': '{}'}
+        'parameters': ['motor.shaft_inertia'], 'samples': 1}, {'scene': '{}'}
 
     yield timo_sim.shaper, {
         'plant': bent, 'kind': 'ZV', 'modes': 1, 'tolerance': 0.05, 'contact': ''}, {

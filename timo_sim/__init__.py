@@ -26,6 +26,7 @@ if TYPE_CHECKING:
     from timo_sim.scene.parameters import ModelWarning, ParameterError
     from timo_sim.scene.scene import load_scene, project_on_modes, Scene
     from timo_sim.simulation.batch import Batch
+    from timo_sim.simulation.finer import EstimatingSimulator
     from timo_sim.simulation.simulator import Simulator
     from timo_sim.simulation.warnings import DivergenceError
 
@@ -34,6 +35,7 @@ if TYPE_CHECKING:
 _MODULES = {
     'Batch': 'simulation.batch',
     'DivergenceError': 'simulation.warnings',
+    'EstimatingSimulator': 'simulation.finer',
     'Fit': 'fitting.result',
     'LinearModel': 'runs.linear',
     'ModelWarning': 'scene.parameters',
@@ -64,8 +66,9 @@ _MODULES = {
 }
 
 __all__ = [
-    'Batch', 'DivergenceError', 'Fit', 'LinearModel', 'ModelWarning', 'ParameterError', 'Plan',
-    'Record', 'Run', 'Scene', 'Sensitivities', 'Shaper', 'Simulator', '__version__',
+    'Batch', 'DivergenceError', 'EstimatingSimulator', 'Fit', 'LinearModel', 'ModelWarning',
+    'ParameterError', 'Plan', 'Record', 'Run', 'Scene', 'Sensitivities', 'Shaper', 'Simulator',
+    '__version__',
     'choose_resolution', 'export_c', 'export_fmu', 'feedforward', 'fit', 'linearize', 'load_scene',
     'modes', 'observer', 'open_log', 'project_on_modes', 'read_record', 'sensitivities', 'shaper',
     'simulate', 'simulate_many']

@@ -35,7 +35,7 @@ from timo_sim.log.tables import Recording
 from timo_sim.runs.replay import replay
 from timo_sim.scene.files import read_sections, scene_file
 
-CONTROLLERS = ROOT / 'config/controllers.yaml'
+CONTROLLERS = ROOT / 'hardware/config/controllers.yaml'
 STATISTICS = '/controller_manager/statistics'
 
 

@@ -28,8 +28,9 @@ from timo_sim.model import formulation_class
 from timo_sim.model.layout import LOADS
 from timo_sim.simulation.derivatives import unit_loads
 from timo_sim.steps import etdrk4
+from timo_sim.steps.bristles import MEMORY
 from timo_sim.steps.derivatives import step_derivatives
-from timo_sim.steps.steps import matrices_of
+from timo_sim.steps.steps import matrices_of, Steps
 
 PAPER = ROOT / 'config' / 'paper.yaml'
 STEPS = 1000  # of 10 ms
@@ -75,13 +76,14 @@ class Prepared:
         self._start = self.model.state(scene.initial_motion())
         self._loads = scene.load.stages(0, steps, scene.step)
         self._advance = etdrk4.advance.of(
-            self.model.packed, pack(matrices_of(self.model.linear, scene.step)))
+            self.model.packed, pack(matrices_of(self.model.linear, scene.step)),
+            Steps(self.model, scene.step).bristles)
 
     def run(self, every=0):
         """Do the steps; return motions at the start and after each `every` of them."""
         samples = np.empty((1 + len(self._loads) // every if every else 0, self.model.size))
-        self._advance(self._start.copy(), self._loads[0, 0], self._loads, len(self._loads), every,
-                      0, samples)
+        self._advance(np.zeros(MEMORY), self._start.copy(), self._loads[0, 0], self._loads,
+                      len(self._loads), every, 0, samples, np.zeros(len(samples)))
         return samples
 
     def time_of_step(self):

@@ -206,8 +206,8 @@ def test_a_step_allocates_nothing(formulation, entry, tmp_path):
     scene = timo_sim.load_scene({'model.formulation': formulation})
     model = scene.build()
     constants = model.packed, pack(matrices_of(model.linear, scene.step))
-    if entry is friction.advance:
-        constants += FrictionSteps(model, scene.step, np.ones(3), np.ones((4, 3))).joints,
+    own = FrictionSteps(model, scene.step, np.ones(3), np.ones((4, 3)))
+    constants += (own.bristles, own.joints) if entry is friction.advance else (own.bristles,)
     path = tmp_path / 'step.o'
     code = machine.intermediate_code(entry, tuple(each.kind for each in constants))
     path.write_bytes(machine.object_code(

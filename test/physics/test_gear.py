@@ -328,9 +328,10 @@ def test_sensors_and_the_linear_model_know_rotor_and_gear():
     assert moments[-2] == pytest.approx(rate - torque, abs=2e-4 * np.abs(moments).max())
     # About rest the torque acts on the rotor: at high frequencies it alone is turned.
     linear = timo_sim.linearize(scene.vary({'initial.shaft': 0.0})).select(
-        ['torque_N_m'], ['rotor_rad', 'shaft_rad'])
+        ['torque_N_m'], ['rotor_rad', 'shaft_rad', 'rotor_velocity_rad_per_s'])
     omega = 2.0 * np.pi * 500.0
-    of_rotor, of_shaft = linear.frequency_response([500.0])[0, :, 0]
+    of_rotor, of_shaft, of_speed = linear.frequency_response([500.0])[0, :, 0]
+    assert of_speed == pytest.approx(1j * omega * of_rotor, rel=1e-9)
     assert of_rotor == pytest.approx(-1.0 / omega**2, rel=0.02)
     assert abs(of_shaft) < 0.01 * abs(of_rotor)
 

@@ -279,14 +279,14 @@ def test_steps_too_long_for_the_spring_are_refused(scene):
     step, factor = map(float, re.search('most (.*) s for .* coulomb_presliding (.*) times', str(
         caught.value)).groups())
     timo_sim.load_scene({}, {**stiff, 'motor.coulomb_presliding': 1e-8 * 1.01 * factor})
-    # At the limit it swings without a gain of energy, and a rigid arm with the loss of (T65).
+    # At the limit it swings without a gain of energy, and a rigid arm with that of the stages.
     run = timo_sim.simulate(timo_sim.load_scene({}, {
         **stiff, 'integrator.step': step, **{name: 0.0 for name in scene if 'velocity' in name},
         'initial.shaft_velocity': 1e-6}), 2000 * step, estimate=False)
     energy = (run.energy() + run.friction_heat) / run.energy()[0]
     assert np.all(energy < 1.001)
-    if scene == RIGID:  # of amplitude 2.2e-5 a step at the limit, the step is 0.99 of it
-        assert -np.log(energy[-1]) / 2.0 / 2000.0 == pytest.approx(0.99**9 * 2.2e-5, rel=0.02)
+    if scene == RIGID:  # of amplitude 5e-4 a step at the limit, the step is 0.99 of it
+        assert -np.log(energy[-1]) / 2.0 / 2000.0 == pytest.approx(0.99**6 * 5e-4, rel=0.05)
 
 
 @pytest.mark.parametrize('values, told', [
@@ -299,9 +299,26 @@ def test_what_does_not_fit_together_is_refused(values, told):
         timo_sim.load_scene({}, values)
 
 
-def test_what_needs_smooth_friction_says_so():
-    scene = timo_sim.load_scene({}, SHAFT)
-    with pytest.raises(timo_sim.ParameterError, match='friction with a coulomb_presliding is not'):
-        timo_sim.Batch([scene])
-    with pytest.raises(timo_sim.ParameterError, match='friction that builds up over a speed'):
-        Simulator(scene).step_derivatives()
+@pytest.mark.parametrize('more', [
+    {}, {'model.formulation': 'newton'}, GEAR,
+    {'motor.coulomb_asymmetry': 0.4, 'motor.coulomb_rest': 0.6, 'motor.coulomb_speed': 0.05},
+    {'model.axial_modes': 1, 'motor.coulomb_asymmetry': 0.4}], ids=str)
+def test_a_batch_does_what_a_simulator_does(more):
+    """One lane is without friction of the shaft; bits depend on its own numbers alone."""
+    scene = timo_sim.load_scene({}, {**LIVELY, **SHAKEN, **more})
+    scenes = [scene.vary({'motor.coulomb_friction': limit, 'arm.length': 2.0 + 0.01 * limit})
+              for limit in np.linspace(1.0, 3.0, 9)]
+    scenes[3] = scene.vary({f'motor.coulomb_{name}': 0.0 for name in (
+        'friction', 'presliding', 'asymmetry', 'speed')} | {'motor.coulomb_rest': 1.0})
+    batch = timo_sim.Batch(scenes)
+    motions = batch.advance(1000, sample_every=100)
+    for number in (0, 3, 8):
+        found, heat = Simulator(scenes[number]).advance(1000, sample_every=100)
+        assert np.abs(motions[number] - found).max() < 1e-11
+        assert batch.friction_heat[number] == pytest.approx(heat[-1], rel=1e-11)
+    alone = timo_sim.Batch([scenes[8]])
+    for _ in range(10):
+        alone.advance(100)
+    assert np.array_equal(alone.motion.values[0], motions[8, -1])
+    batch.reset(np.arange(9) == 8)
+    assert np.array_equal(batch.advance(1000, sample_every=100)[8], motions[8])

@@ -28,7 +28,7 @@ def test_controllers_have_joints_and_interfaces_of_the_urdf_and_the_rate_of_the_
                          for joint in block.iterfind('joint')
                          for interface in joint.iterfind(f'{kind}_interface')}
                         for kind in ('command', 'state'))
-    sections = read_sections(ROOT / 'config/controllers.yaml')
+    sections = read_sections(ROOT / 'hardware/config/controllers.yaml')
     effort, pid = sections['/effort_controller'], sections['/pid_controller']
     (dof,), (claimed,) = pid['dof_names'], effort['joints']
     claimed += f'/{effort["interface_name"]}'

@@ -21,13 +21,13 @@ from timo_sim.log.tables import Recording
 
 
 class Launch:
-    """`ros2 launch timo_sim` in a separate process."""
+    """`ros2 launch timo_sim_bringup` in a separate process."""
 
     def __init__(self, folder, environment, *arguments):
         self._output = folder / 'output.txt'
         with open(self._output, 'w') as output:
             self.process = subprocess.Popen(
-                ['ros2', 'launch', 'timo_sim', *arguments], cwd=folder, stdout=output,
+                ['ros2', 'launch', 'timo_sim_bringup', *arguments], cwd=folder, stdout=output,
                 stderr=subprocess.STDOUT, env={**environment, 'ROS_LOG_DIR': str(folder)})
 
     def seen(self, words):

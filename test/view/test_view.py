@@ -34,7 +34,7 @@ from timo_sim.view.plot import animate
 from timo_sim.view.rerun import picture, write
 from timo_sim.view.track import track_of_run
 
-CONFIG = Path(__file__).resolve().parents[2] / 'config'
+CONFIG = Path(__file__).resolve().parents[2] / 'bringup/config'
 LENGTH, AT = 2.0, 1.782
 ARM, TIP, GRID = (86, 180, 233), (213, 94, 0), (50, 50, 50)
 
@@ -140,6 +140,19 @@ def test_an_animation_shows_the_arm_where_it_is(run, tmp_path):
         off = np.arctan2(-y, x) - np.arctan2(*chord[::-1])
         # The bent arm lies to one side of its chord, and the pixels include a part of its path.
         assert abs((off + np.pi / 2) % np.pi - np.pi / 2) < 0.02
+
+
+def test_simulate_writes_the_animation_that_view_makes_of_its_log(tmp_path):
+    log, first, second = (str(tmp_path / name) for name in ('run.mcap', 'a.gif', 'b.gif'))
+    for command in (['simulate', 'paper', '--duration', '0.2', '-o', log, '--gif', first],
+                    ['view', log, '--gif', second]):
+        done = CliRunner().invoke(main, [*command, '--deflection-scale', '5'])
+        assert done.exit_code == 0 and f'{command[-1]} is written' in done.output
+    frames = [Image.open(path) for path in (first, second)]
+    assert [each.n_frames for each in frames] == [5, 5]
+    assert np.array_equal(*(np.asarray(each.convert('RGB')) for each in frames))
+    refused = CliRunner().invoke(main, ['simulate', 'paper', '--gif', 'run.png'])
+    assert refused.exit_code == 2 and 'must end with .gif, got run.png' in refused.output
 
 
 def plane_of(figure):
@@ -366,7 +379,6 @@ def test_bad_input_and_a_missing_screen_are_one_line(log, tmp_path):
     (['--save', 'a.rrd', '--at', '99'], '--at = 99 s is not in the run, which is from 0 to'),
     (['--save', 'a.png'], 'the path of --save, a rerun file, must end with .rrd, got a.png'),
     (['--gif', 'a.gif', '--at', '1'], '--at is the time of a picture: it needs --png or --save'),
-    (['--gif', 'a.png'], 'the path of an animation must end with .gif, got a.png'),
     (['--gif', 'a.gif', '--fps', 'nan'], '--fps must be a finite number > 0'),
     (['--gif', 'a.gif', '--deflection-scale', 'nan'], 'deflection_scale must be a finite number'),
     (['--png', 'none/a.png'], '--png none/a.png cannot be written')])

@@ -101,6 +101,16 @@ _settings = click.option('--set', 'settings', multiple=True, metavar='NAME=VALUE
 _deflection_scale = click.option(
     '--deflection-scale', type=click.FloatRange(min=0.0, max=1e9, min_open=True), default=1.0,
     show_default=True, help='Draw the arm with so many times its deflection; pictures state it.')
+
+
+def _check_gif(context, option, path):
+    if path and not path.endswith('.gif'):
+        raise click.BadParameter(f'an animation must end with .gif, got {path}')
+    return path
+
+
+_gif = click.option('--gif', type=_FILE, metavar='OUT.gif', callback=_check_gif,
+                    help='Animation to write: the arm in the plane, and how its tip bends.')
 _node = click.option('--node', metavar='NAME', help='Full name of the node, if a bag has several.')
 
 
@@ -378,9 +388,11 @@ def replay(file: str, settings: tuple[str, ...], formulation: str | None, scene:
 @click.option('--view', is_flag=True, help='Show the run in rerun.')
 @click.option('--png', type=_FILE, metavar='OUT.png',
               help='Picture to write: curves over time, and the arm in the plane.')
+@_gif
 @_deflection_scale
 def simulate(scene: Scene, duration: float, output: str | None, rate: float | None,
-             estimate: bool, view: bool, png: str | None, deflection_scale: float) -> None:
+             estimate: bool, view: bool, png: str | None, gif: str | None,
+             deflection_scale: float) -> None:
     r"""
     Simulate SCENE, a parameter file or the name of an installed scene, without ROS.
 
@@ -396,7 +408,7 @@ def simulate(scene: Scene, duration: float, output: str | None, rate: float | No
     from timo_sim.simulation.warnings import DivergenceError
     if output and not output.endswith('.mcap'):
         check_table(Path(output), also='.mcap, ')
-    _require(matplotlib=png, rerun=view, pyarrow=output and output.endswith('.parquet'))
+    _require(matplotlib=png or gif, rerun=view, pyarrow=output and output.endswith('.parquet'))
     scene, steps = resolve(scene, duration, click.echo)
     every = whole_ratio('1/integrator.step', 1.0 / scene.step, '--rate', rate) if rate else (
         closest_samples(steps, scene.step))
@@ -416,6 +428,11 @@ def simulate(scene: Scene, duration: float, output: str | None, rate: float | No
         click.echo(f'{run.save(output)} is written')
     if png:
         _draw(run.plot(deflection_scale), png)
+    if gif:
+        from timo_sim.view.plot import animate
+        from timo_sim.view.track import track_of_run
+        animate([track_of_run(run, 'run', deflection_scale)], gif)
+        click.echo(f'{gif} is written')
     if view:
         run.view(deflection_scale=deflection_scale)
     if diverged:
@@ -540,24 +557,26 @@ def fit(record: str, more: tuple[str, ...], scene: str | None, free: tuple[str, 
         sys.exit(1)
 
 
-@main.command()
+@main.command(context_settings={'ignore_unknown_options': True})  # a negative number is a value
+@click.argument('topic')
+@click.argument('values', nargs=-1, metavar='VALUE...')
 @click.option('--node', default='/timo_sim', show_default=True, help='Full name of the node.')
-@click.option('--force', type=float, default=5.0, show_default=True,
-              help='Force on the carrier, along the axes of the world [N].')
-@click.option('--torque', type=float, default=5.0, show_default=True,
-              help='Torque on the shaft [N m].')
-def teleop(node: str, force: float, torque: float) -> None:
+@click.option('--wait', type=click.FloatRange(min=0.0, max=3600.0), default=10.0,
+              show_default=True, help='How long to wait for the node [s].')
+def send(topic: str, values: tuple[str, ...], node: str, wait: float) -> None:
     r"""
-    Push carrier and shaft of a live node by keys, in a terminal.
+    Send one command to a running node.
 
     \b
-        timo_sim teleop --torque 2
+        timo_sim send motor_torque 1.0
+        timo_sim send carrier_wrench force.y=-5 frame_id=arm
+        timo_sim send joint_command shaft=1.0
 
-    Arrows push the carrier, a and d turn the shaft, as long as they are held; space pauses or goes
-    on, r resets, q or Ctrl-C quits. The latest command acts, whether from here or from others.
+    TOPIC is the name of a command topic of the node; a wrong one lists them all. A VALUE is that
+    of its next field [N, N m, V], or FIELD=VALUE; a wrong one lists the fields.
     """
-    from timo_sim.ros.teleop import teleop
-    teleop(node, force, torque)
+    from timo_sim.ros.send import send
+    click.echo(send(topic, values, node, wait))
 
 
 @main.command()
@@ -595,8 +614,7 @@ def urdf(scene: str, settings: tuple[str, ...], library: str | None) -> None:
               help='Write a file for rerun instead of opening it.')
 @click.option('--png', type=_FILE, metavar='OUT.png',
               help='Draw a picture instead, without a screen.')
-@click.option('--gif', type=_FILE, metavar='OUT.gif',
-              help='Draw an animation instead, without rerun.')
+@_gif
 @click.option('--at', type=float, metavar='SECONDS',
               help='Sim time of the picture of --png, and of a frame in the file of --save [s]; '
                    'by default the end.')

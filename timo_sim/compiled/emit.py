@@ -16,7 +16,8 @@ from llvmlite import binding as llvm
 from llvmlite import ir
 from numba import njit  # noqa: F401  loads what the compiler needs
 from numba.core import (
-    cgutils, codegen, cpu, dispatcher, registry, target_extension, types)
+    cgutils, codegen, compiler, cpu, dispatcher, registry, target_extension, typed_passes, types,
+    typing, untyped_passes)
 from numba.core.compiler_lock import global_compiler_lock
 from numba.core.imputils import lower_builtin, lower_getattr_generic
 from numba.core.types import containers
@@ -442,7 +443,32 @@ class _Context(cpu.CPUContext):
         self._internal_codegen = _Codegen('timo_sim')
 
 
+class _Typing(typing.Context):
+    """Finds the type of an operation on types once; numba tries all that it knows each time."""
+
+    def __init__(self) -> None:
+        super().__init__()
+        self._found: dict[Any, Any] = {}
+
+    def resolve_function_type(self, func: Any, args: Any, kws: Any) -> Any:
+        if kws or not isinstance(func, types.Function):
+            return super().resolve_function_type(func, args, kws)
+        key = func, tuple(args)
+        if key not in self._found:
+            found = super().resolve_function_type(func, args, kws)
+            if found is None:
+                return None
+            self._found[key] = found
+        return self._found[key]
+
+
 class _Target(registry.CPUTarget):
+    @property
+    def _toplevel_typing_context(self):
+        if '_typing' not in self.__dict__:
+            self.__dict__['_typing'] = _Typing()
+        return self.__dict__['_typing']
+
     @property
     def _toplevel_target_context(self):
         if '_context' not in self.__dict__:
@@ -458,8 +484,33 @@ target_extension.target_registry['timo_sim'] = _AnyProcessor
 _TARGET = _Target('timo_sim')
 
 
+# Passes for what compiled functions do not have: closures, `with`, array expressions, and such.
+_UNUSED = {
+    untyped_passes.DeadBranchPrune, untyped_passes.FindLiterallyCalls,
+    untyped_passes.InlineClosureLikes, untyped_passes.InlineInlinables,
+    untyped_passes.LiteralPropagationSubPipelinePass, untyped_passes.LiteralUnroll,
+    untyped_passes.MakeFunctionToJitFunction, untyped_passes.RewriteDynamicRaises,
+    untyped_passes.RewriteSemanticConstants, untyped_passes.WithLifting,
+    typed_passes.AnnotateTypes, typed_passes.DumpParforDiagnostics, typed_passes.InlineOverloads,
+    typed_passes.NoPythonSupportedFeatureValidation, typed_passes.NopythonRewrites}
+
+
+class _Passes(compiler.CompilerBase):
+    def define_pipelines(self) -> list[Any]:
+        default = compiler.DefaultPassBuilder.define_nopython_pipeline(self.state)
+        passes = compiler.PassManager('timo_sim')
+        for each, what in default.passes:
+            if each not in _UNUSED:
+                passes.add_pass(each, what)
+        passes.finalize()
+        return [passes]
+
+
 class _Compiler(dispatcher.Dispatcher):
     targetdescr = _TARGET
+
+    def __init__(self, function: Any, targetoptions: dict[str, Any]) -> None:
+        super().__init__(function, targetoptions=targetoptions, pipeline_class=_Passes)
 
 
 def _compile_for_numba(*_, **options):

@@ -259,7 +259,8 @@ class Observer(Stateful, PointsOfArm):
         # What sensors should show with shifted motions and disturbances, (n, size + k): (n, y).
         model, size = self.model, self.model.size
         motions = self.motion.values + shifts[:, :size]
-        loads = self.simulator.load + (self.disturbance + shifts[:, size:]) @ self._unit
+        acting = self.simulator.integration.acting(self.simulator.load)
+        loads = acting + (self.disturbance + shifts[:, size:]) @ self._unit
         found = model.accelerations(motions, model.state(motions), loads)
         joints = Joints(model, motions, found[0], loads, found[1])
         return np.hstack([

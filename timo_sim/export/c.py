@@ -14,10 +14,10 @@ import subprocess
 from timo_sim.compiled.machine import TARGETS
 from timo_sim.export.constants import Interface, interface_of, Quantity, refuse
 from timo_sim.export.library import library, TEXTS
-from timo_sim.scene.files import whole_file
+from timo_sim.scene.files import check_target, whole_file
 from timo_sim.scene.parameters import checked, FLAG, ParameterError, PATH, short, TEXT
 from timo_sim.scene.scene import load_scene, SceneLike
-from timo_sim.simulation.finer import refine
+from timo_sim.simulation.finer import EstimatingSimulator
 from timo_sim.simulation.simulator import Simulator
 from timo_sim.steps.instance import Code
 from timo_sim.version import __version__
@@ -237,15 +237,16 @@ def export_c(scene: SceneLike, folder: Path | str, target: str = 'host', estimat
                              f'{short(name)}')
     if name in _TAKEN or name.endswith('_t'):
         raise ParameterError(f'name must be no word of C or its library, got {short(name)}')
+    for file in (f'{name}.h', f'{name}.o', 'main.c', 'CMakeLists.txt'):
+        check_target(folder / file)
     refuse(scene, estimate)
     interface = interface_of(scene, estimate)
-    simulators = [Simulator(scene)]
     if estimate:
-        simulators.append(Simulator(refine(scene, interface.parts)))
+        simulator = EstimatingSimulator(scene)
+        simulators = [simulator, simulator.finer]
+    else:
+        simulators = [Simulator(scene)]
     folder.mkdir(parents=True, exist_ok=True)
-    for file in (f'{name}.h', f'{name}.o', 'main.c', 'CMakeLists.txt'):
-        if (folder / file).exists() and not (folder / file).is_file():
-            raise OSError(f'{folder / file} must be a regular file or none yet')
     made = library(simulators, interface, target, name)
     texts = {f'{name}.h': _header(interface, made, scene.step, target, name),
              'main.c': _main(interface, scene.step, name), 'CMakeLists.txt': _fill(_CMAKE, name)}

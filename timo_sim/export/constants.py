@@ -115,8 +115,9 @@ def _limits(inputs, values):
                               (INPUTS[each.column].rate_limit, True)):
             if name:
                 columns.setdefault((name, of_rate), []).append(each.column)
-    return [Limit(name.replace('.', '_'), PARAMETERS[name].unit, PARAMETERS[name].meaning, of_rate,
-                  min(limited), max(limited) + 1, values[name])
+    return [Limit(title=name.replace('.', '_'), unit=PARAMETERS[name].unit,
+                  meaning=PARAMETERS[name].meaning, of_rate=of_rate, begin=min(limited),
+                  end=max(limited) + 1, start=values[name])
             for (name, of_rate), limited in columns.items()]
 
 

@@ -20,7 +20,7 @@ from zipfile import ZIP_DEFLATED, ZipFile, ZipInfo
 from timo_sim.export.c import export_c, find_compiler, link
 from timo_sim.export.constants import Interface, interface_of, Quantity
 from timo_sim.model.layout import with_unit
-from timo_sim.scene.files import whole_file
+from timo_sim.scene.files import check_target, whole_file
 from timo_sim.scene.parameters import checked, FLAG, ParameterError, PATH, short
 from timo_sim.scene.scene import load_scene, SceneLike
 from timo_sim.version import __version__
@@ -99,6 +99,7 @@ def export_fmu(scene: SceneLike, path: Path | str, version: int = 3, estimate: b
     if (platform.system(), platform.machine()) != ('Linux', 'x86_64'):
         raise OSError('FMUs are written on Linux x86-64 alone')
     find_compiler()
+    check_target(path)
     variables = _variables(interface_of(scene, estimate))
 
     def describe(token):
@@ -121,6 +122,7 @@ def export_fmu(scene: SceneLike, path: Path | str, version: int = 3, estimate: b
         **{f'sources/{name}': content for name, content in files.items()}}
     if version == 3:
         contents['sources/buildDescription.xml'] = _build_description()
+    path.parent.mkdir(parents=True, exist_ok=True)
     with whole_file(path) as part, ZipFile(part, 'w', ZIP_DEFLATED) as archive:
         for name, content in contents.items():
             entry = ZipInfo(name)  # of 1980, so that equal scenes give equal files

@@ -53,10 +53,11 @@ class _Model:
         self.modules, self._functions = [], {}
         scene, model = simulator.scene, simulator.model
         # Tables and propagators of each linear part.
-        self.parts = [*zip(*(simulator.integration.part(sector).constants for sector in (
+        self.parts = [*zip(*(simulator.integration.part(sector) for sector in (
             range(model.sectors) if model.sectors else [None])))]
         self.plant, self.loads = plant_of(simulator), pack(scene.load.rows(scene.step))
         self.tables, self.actuators = model.packed, Actuators(scene.values).packed
+        self.bristles = simulator.integration.bristles
         self.joints = getattr(simulator.integration, 'joints', None)
         # What steps are differentiated by, if they are.
         self.differentiate, self.places = entry_for(model), model.free_places
@@ -217,10 +218,8 @@ class _Body:
             'friction', 'heat', 'motion', 'state', 'load', 'loads'))
         given += [self.word(number) for number in (count, every, 0)]
         constants = self.constants_of_step(model, instance)
-        if not model.joints:
-            return self.call(model, instance, advance, *given, motion, **constants)
-        return self.call(
-            model, instance, friction.advance, memory, *given, motion, heat, **constants)
+        return self.call(model, instance, friction.advance if model.joints else advance, memory,
+                         *given, motion, heat, **constants)
 
     def step_of(self, model):
         """Define the function that does one step of a model under commands."""
@@ -399,10 +398,13 @@ class _Body:
         self.copy(kept, own.actuators.length, actuators)
         places, units = (self.content(name, each.tobytes(), align=64) for name, each in (
             ('places', own.places), ('units', own.units)))
-        self.call(own, instance, own.differentiate, places,
-                  *(self.field(own, instance, name) for name in ('state', 'load', 'loads')),
-                  self.word(1), units, self.word(len(own.units)),
-                  self.field(own, instance, 'before'), values,
+        rows = len(own.places) + len(own.units)
+        slopes = [self.builder.alloca(_REAL, self.word(rows * width))
+                  for width in (len(own.places), MEMORY)]
+        state, memory, load, loads = (self.field(own, instance, name) for name in (
+            'before', 'friction_before', 'load', 'loads'))
+        self.call(own, instance, own.differentiate, places, self.word(1), state, memory, *slopes,
+                  load, loads, self.word(1), units, self.word(len(own.units)), values,
                   **self.constants_of_step(own, instance))
         self.finish()
 

@@ -70,8 +70,10 @@ def next_inputs(search: Search, information: np.ndarray, scene: Scene, limit: fl
                   for k, (free, place) in enumerate(zip(new.free, search.places[0]))]
         both = np.pad(information, (0, len(new.free)))
         both[np.ix_(places, places)] += jacobian.T @ jacobian
-        found.append(NextInput(kind, quantity, t, signal, widest, dict(zip(
-            [free.name for free in search.free], _deviations(both)[:size] / before))))
+        found.append(NextInput(
+            kind=kind, quantity=quantity, t=t, values=signal, widest=widest,
+            ratios=dict(zip([free.name for free in search.free],
+                            _deviations(both)[:size] / before))))
     return sorted(found, key=lambda each: each.ratios[widest])
 
 

@@ -72,10 +72,10 @@ class Posterior:
 
     def _settle(self, x, held=None):
         """
-        Return coordinates near x at which the residuals are, as far as they can, those of a line.
+        Follow the curved valley: return x' near x with the residuals of the linear model at x.
 
-        They move where the derivatives at the minimum say, x[held] not; with `held` the line is
-        constant, so they go to the least squares. Also returns the rise of the squares.
+        That is Gauss-Newton with the Jacobian at the minimum. With `held`, x[held] stays and the
+        others are fitted (a profile). Also returns the rise of the squares.
         """
         some = np.arange(len(x)) != held
         solve = self._inverse if held is None else np.linalg.pinv(self.jacobian[:, some])
@@ -134,7 +134,7 @@ class Posterior:
         moves, power = z @ axes.T, np.sum(z**2, axis=1)
         moved = [self._settle(search.x + each) for each in moves]
         x, rise = np.array([each for each, _ in moved]), np.array([each for _, each in moved])
-        # The volume that moving makes of a small one, from that at one deviation on each axis.
+        # log det of the map from z to x', quadratic through +-1 deviation on each axis.
         up, down = np.transpose([[self._volume(sign * axis) for sign in (1.0, -1.0)]
                                  for axis in axes.T])
         near = np.clip(z, -_FAR, _FAR)
@@ -156,7 +156,7 @@ class Posterior:
             for row in zip(*(values[name] for name in own))], float(1.0 / np.sum(weights**2)))
 
     def _volume(self, move):
-        """Return the logarithm of the volume that `_settle` makes of a small one at a move."""
+        """Return log det of the map from a move to the coordinates of `_settle`."""
         x, _ = self._settle(self.search.x + move)
         local = self._root[:, np.newaxis] * self.search.jacobian(x, central=False)
         return -np.linalg.slogdet(self._inverse @ local)[1]

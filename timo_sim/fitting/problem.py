@@ -131,7 +131,7 @@ def _free(name, bounds, scene, record):
     if not low <= start <= high:
         raise ParameterError(f'{name} = {start:g} must be within its bounds, {low:g} to {high:g}, '
                              'where the fit begins')
-    return Free(name, start, low, high, scale, log, unit)
+    return Free(name=name, start=start, low=low, high=high, scale=scale, log=log, unit=unit)
 
 
 _SAMPLES_AROUND = 5  # samples to each side from which the angle and speed of the shaft are taken

@@ -51,6 +51,11 @@ class Output(NamedTuple):
 INPUT_UNITS = {**{each.name: each.unit for each in INPUTS if each.argument}, DRIVE: 'rad'}
 
 
+def _tip_angle(run):
+    along, across = run.deflection().T
+    return np.arctan2(across, run.model.manipulator.arm.length + along)
+
+
 OUTPUTS = {
     **{sensor.measured: Output(
         sensor.unit, sensor.meaning,
@@ -64,8 +69,7 @@ OUTPUTS = {
     'tip_transverse': Output('m', 'deflection of the tip across the arm',
                              lambda run: run.deflection()[:, 1]),
     'tip_angle': Output('rad', 'direction of the tip as seen from the root, straight arm: 0',
-                        lambda run: np.arctan2(*(
-                            run.deflection() + [run.model.manipulator.arm.length, 0.0]).T[::-1])),
+                        _tip_angle),
     'tip_rotation': Output('rad', 'rotation of the end effector relative to the shaft',
                            lambda run: run.rotation()),
     'root_strain': Output('', 'strain of the outer fibre at the root',

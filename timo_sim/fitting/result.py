@@ -226,7 +226,7 @@ class Fit(Prediction):
 
     def __repr__(self) -> str:
         found = ', '.join(f'{name} = {value:.4g}' for name, value in self.values.items())
-        best = 'best so far: ' * bool(self.stopped)
+        best = 'best so far: ' if self.stopped else ''
         return f'<Fit of {self.record.source}: {best}{found or "nothing is identified"}>'
 
     def plot(self) -> Figure:
@@ -428,8 +428,9 @@ def fit(scene: SceneLike | None, record: RecordLike | Sequence[RecordLike], free
     start, measured, held = read_scene_and_records(scene, record, mapping, hold_out_records)
     start = start.with_fixed_shapes()
     begun, bounds = monotonic(), dict(bounds or {})
-    problems = [Problem(start, each, _names_for(each, measured, free), bounds,
-                        (1.0 - hold_out) * each.duration, window) for each in measured]
+    problems = [Problem(scene=start, record=each, names=_names_for(each, measured, free),
+                        bounds=bounds, until=(1.0 - hold_out) * each.duration,
+                        window=window) for each in measured]
 
     def say(text):
         if tell:
@@ -488,9 +489,10 @@ def fit(scene: SceneLike | None, record: RecordLike | Sequence[RecordLike], free
         low, high = (map(each.value, profiles.get(k, (at - half, at + half))) if identified
                      else (math.nan, math.nan))
         estimates[each.name] = Estimate(
-            value if identified else math.nan, low, high,
-            sigma[k] * (value if each.log else each.scale) if identified else math.nan,
-            each.start, each.unit, identified, bound, k in profiles)
+            value=value if identified else math.nan, low=low, high=high,
+            deviation=sigma[k] * (value if each.log else each.scale) if identified else math.nan,
+            start=each.start, unit=each.unit, identified=identified, bound=bound,
+            profile=k in profiles)
     predictions = []
     if jumps:
         cause, remedy = (', as with dry friction', ', or friction with a coulomb_presliding'
@@ -523,7 +525,7 @@ def fit(scene: SceneLike | None, record: RecordLike | Sequence[RecordLike], free
                          'what the residuals look like')
         doubts[bool(search.stopped):bool(search.stopped)] = name_suspects(likely)
     if posterior:
-        # The derivatives by the parameters that initial states of windows cannot make up for.
+        # Without what the initial states of windows can explain as well.
         q, _ = np.linalg.qr(whole[:, count:])
         own = whole[:, :count] - q @ (q.T @ whole[:, :count])
         information = own.T @ own
@@ -531,9 +533,11 @@ def fit(scene: SceneLike | None, record: RecordLike | Sequence[RecordLike], free
             own, names, {name for name, each in estimates.items() if not each.identified})
     correlation = np.clip(spread / np.outer(sigma, sigma), -1.0, 1.0)  # but for round-off
     first, *more = predictions
-    found = Fit(first.record, first.errors, first.run, first.predicted, first.until, fitted,
-                estimates, correlation, parts, white, doubts, seconds, search.tried,
-                search.others, more, posterior, information, likely, search.stopped)
+    found = Fit(record=first.record, errors=first.errors, run=first.run, predicted=first.predicted,
+                until=first.until, scene=fitted, estimates=estimates, correlation=correlation,
+                unidentified=parts, white=white, warnings=doubts, seconds=seconds,
+                starts=search.tried, others=search.others, more=more, posterior=posterior,
+                information=information, suspects=likely, stopped=search.stopped)
     if doubts:
         warn('; '.join(doubts))
     return found
@@ -575,7 +579,7 @@ def _expect(search, run, columns, quick):
     seconds = _RUNS * columns * run
     text = (f'a run of the records takes {run:.2g} s, a fit of {columns} parameters from one '
             f'start some {seconds:.2g} s, or ten times that if the model lacks something'
-            + (not quick) * '; what follows the search may take as long again')
+            + ('' if quick else '; what follows the search may take as long again'))
     if seconds > _LONG:
         text += '; for less, fit fewer parameters to a part of the record, with fewer modes' + (
             ', and give friction a coulomb_speed: where it sticks runs are slower, and searches '
@@ -642,8 +646,10 @@ def _predict(problem, values, initial, residuals, attempt):
                       r_squared(measured, predicted[name][part])] if enough else [math.nan] * 2
         own = residuals[name]
         size = math.sqrt(np.mean(np.concatenate(own)**2)) if own else math.nan
-        errors[name] = Errors(parts[0], parts[1], parts[2], parts[3], size, min(
-            [whiteness(each) for each in own if len(each) > 4], default=math.nan))
+        errors[name] = Errors(
+            rms=parts[0], r_squared=parts[1], hold_out_rms=parts[2], hold_out_r_squared=parts[3],
+            residual_rms=size,
+            whiteness=min([whiteness(each) for each in own if len(each) > 4], default=math.nan))
         if channel.noise and errors[name].residual_rms > _MAX_NOISE_RATIO * channel.noise:
             doubts.append(
                 f'{name} is off by {errors[name].residual_rms / channel.noise:.1f} times its '

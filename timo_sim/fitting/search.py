@@ -8,7 +8,7 @@ from __future__ import annotations
 from collections.abc import Callable, Sequence
 from dataclasses import replace
 import math
-from typing import Any
+from typing import Any, NamedTuple
 
 import numpy as np
 from scipy.optimize import least_squares
@@ -26,10 +26,18 @@ _MAX_DIFFERENCE = 0.3  # relative difference of derivatives by two steps, above 
 _FIRST_PART, _COARSE = 0.25, 200  # this motion is seen at so many points
 _MIN_DEVIATION = 1e-5  # least standard deviation, relative to the first
 _FIRST_DEVIATION = 0.1  # first standard deviation, relative to that of an output's values
-# Relative changes of the sum of squares and of x at which a search ends, its most evaluations,
-# since a jagged sum never settles, and its step of differences. A wide one does not see how dry
-# friction makes the sum jagged. Starts are only tried: the best one is followed.
-_TRY, _LOOSE, _TIGHT = (1e-2, 1e-4, 12, 1e-3), (1e-4, 1e-4, 60, 1e-3), (1e-7, 1e-7, 60, 1e-6)
+
+
+class _Accuracy(NamedTuple):
+    ftol: float    # relative change of the sum of squares at which a search ends
+    xtol: float    # the same of x
+    max_nfev: int  # most evaluations, since a jagged sum never settles
+    step: float    # of differences; a wide one does not see how dry friction makes the sum jagged
+
+
+# Starts are only tried: the best one is followed.
+_TRY, _LOOSE = _Accuracy(1e-2, 1e-4, 12, 1e-3), _Accuracy(1e-4, 1e-4, 60, 1e-3)
+_TIGHT = _Accuracy(1e-7, 1e-7, 60, 1e-6)
 _MAX_KNOWN = 4  # residuals that are kept, since searches ask for some again
 _MAX_SEARCHES = 6  # most searches with standard deviations from the one before
 _SETTLED_CHANGE = 0.01  # relative change of standard deviations that counts as none
@@ -164,7 +172,7 @@ class Search:
         self._estimate_deviations()
 
     def _is_apart(self, x, other, least):
-        """Return whether x is another minimum, and not another where the record tells nothing."""
+        """Return whether x differs from another minimum in a direction that the record sees."""
         linear = self.jacobian(other, _WIDE, False) @ (x - other)
         return 0.5 * linear @ linear > _SAME * least
 
@@ -179,7 +187,8 @@ class Search:
             text = (f'start {self.tried} of {most}: rms residual {begun:.3g} -> '
                     f'{self._rms(self.x):.3g} deviations in the first part')
             self.windows, reached = whole, [*reached, self.x]
-            # A quiet first part is fitted alike from everywhere: where its fit ends counts.
+            # Where the arm hardly moves at first, all starts fit that part equally well: their
+            # ends are compared, not their costs.
             known = [old for old, each in zip(costs, reached) if np.allclose(
                 self.x, each, 0.0, _NEAR)]
             if known:
@@ -253,11 +262,11 @@ class Search:
 
     def _solve(self, accuracy, x=None):
         """Move x to the minimum nearest to itself, or to a given x; return half its squares."""
-        fall, move, most, step = accuracy
         found = least_squares(
             self.residuals, self.within(self.x if x is None else x),
-            lambda x: self.jacobian(x, step, False), (self.low, self.high), x_scale='jac',
-            loss=self.loss, ftol=fall, xtol=move, gtol=1e-12, max_nfev=most)
+            lambda x: self.jacobian(x, accuracy.step, False), (self.low, self.high), x_scale='jac',
+            loss=self.loss, ftol=accuracy.ftol, xtol=accuracy.xtol, gtol=1e-12,
+            max_nfev=accuracy.max_nfev)
         self.x = found.x
         return found.cost
 

@@ -57,7 +57,7 @@ class Suspect(NamedTuple):
 
 
 class _Effect(NamedTuple):
-    """An effect that is tried; `change` takes values of a scene, sizes and shape, gives values."""
+    """An effect to try; `change(values, *sizes, *shape)` returns what differs in the scene."""
 
     name: str
     advice: str     # with a place for the first size
@@ -223,11 +223,11 @@ def _effects(search: Search) -> Iterator[_Effect]:
                 *([[[1.0]], both] if own[rest] else [[[part * speed] for part in _REST]]))
         if own[name] and own[rest] and not own[way := f'{body}.coulomb_presliding']:
             yield _Effect(
-                f'presliding of the {body}, which rests as on a spring',
-                f'set {way} to about {{:.2g}} and {body}.coulomb_rest to 0.5, and free both',
-                lambda _, size, part=0.5, name=way: {
-                    name: size, name.replace('presliding', 'rest'): part} if size else {},
-                [[_PRESLIDING * own[rest]]], _LEAST, [0.5])
+                name=f'presliding of the {body}, which rests as on a spring',
+                advice=f'set {way} to about {{:.2g}} and {body}.coulomb_rest to 0.5, and free '
+                       'both', change=lambda _, size, part=0.5, name=way: {
+                           name: size, name.replace('presliding', 'rest'): part} if size else {},
+                trials=[[_PRESLIDING * own[rest]]], low=_LEAST, shape=[0.5])
     for name in (name for name in PARAMETERS if name.endswith('.coulomb_asymmetry')):
         if own[name.replace('asymmetry', 'friction')] and not own[name]:
             yield _Effect('friction that depends on the direction',

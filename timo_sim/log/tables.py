@@ -54,13 +54,13 @@ class Series:
     """
     The n messages of a topic, with `columns`, the names of k quantities with units.
 
-    `step`, `ns` and `log_ns`, int64 of shape (n,), are time steps (-1 in a plain bag), sim time
-    and the time at which it was logged, or published in a bag with ~/scene [ns]. In a plain bag,
-    sim time is the stamp of the header, but for commands, whose stamps mean nothing there, the sim
-    time at their log time or, if that is not known, log time. `values`, shape (n, k), are NaN for
-    what a command does not set. Commands that the node refused are left out and counted. `resets`,
-    int64 of shape (n,), says how many resets were before a message, -1 if that is not known.
-    `data` are a command's messages, CDR.
+    `step`, int64 of shape (n,) as the following, are time steps, -1 in a plain bag. `ns` is the
+    sim time of the message [ns]: in a log from its step, in a bag the header's stamp. Stamps of
+    commands do not say when they acted: there it is the log time by the node's clock, if that is
+    known. `log_ns` is when the message was logged, or published in a bag with ~/scene [ns].
+    `resets` says how many resets were before a message, -1 if that is not known. `values`, shape
+    (n, k), are NaN for what a command does not set. Commands that the node refused are left out
+    and counted. `data` are a command's messages, CDR.
     """
 
     topic: str
@@ -97,7 +97,7 @@ class Recording:
         parameters.
     unread : dict of str
         By topic of the node, why its messages are not read.
-    of_scene : ndarray of int or None
+    reset_times : ndarray of int or None
         Of a bag with ~/scene, the times at which its resets were published [ns].
 
     """
@@ -121,7 +121,7 @@ class Recording:
         if node and node != self.name:
             raise LogError(f'{self.title} is a log of the node {self.name}, of none named '
                            f'{printable(node)}')
-        self.of_scene: np.ndarray | None = None
+        self.reset_times: np.ndarray | None = None
         if not self.facts:
             self._read_scene()
         # If ros2_control publishes joint_states, the node publishes its own below its name.
@@ -166,7 +166,7 @@ class Recording:
                            'the bag, so that each part has one')
         resets = [k for k, event in enumerate(events) if event == 'reset']
         self.resets = np.array([steps[k] for k in resets], dtype=np.int64)
-        self.of_scene = np.array([told[k][0] for k in resets], dtype=np.int64)
+        self.reset_times = np.array([told[k][0] for k in resets], dtype=np.int64)
         self.changes = [(steps[k], sum(reset <= k for reset in resets), given[k])
                         for k, event in enumerate(events) if event == 'set' and k]
 
@@ -174,7 +174,7 @@ class Recording:
     def repeats(self) -> bool:
         """Whether a replay is the same to the last bit: steps of commands, if any, are known."""
         return bool(self.facts) and (
-            self.of_scene is None or self.period > 0
+            self.reset_times is None or self.period > 0
             or not any(series.data for series in self.topics.values()))
 
     @cached_property
@@ -229,8 +229,9 @@ class Recording:
         twice = Counter((part, about[0]) for (part, _), about in found.items()).most_common(1)
         if twice and twice[0][1] > 1:
             raise LogError(f'{self.title} has two channels of {twice[0][0][1]}')
-        collectors = {about: _Collector(self.title, *about, self.frames, self.of_scene is not None)
-                      for about in found.values()}
+        collectors = {
+            about: _Collector(self.title, *about, self.frames, self.reset_times is not None)
+            for about in found.values()}
         for about, resets, message in self._messages(found):
             collectors[about].add(resets, message)
         self._read |= {name: self._series(each) for (name, *_), each in collectors.items()}
@@ -295,7 +296,7 @@ class Recording:
 
     def resets_before(self, step: np.ndarray, found: np.ndarray) -> np.ndarray:
         """
-        Return how many resets were before messages of these steps, of those `found` in the file.
+        Return the number of resets before messages; `found` is that by their order in the file.
 
         It is -1 if the order in the file, which decides at the step of a reset, contradicts steps:
         the file was rewritten.
@@ -349,11 +350,11 @@ class Recording:
     def _series(self, collector):
         found, sequence, log_ns, ns, values, messages = collector.arrays()
         resets, step = np.zeros(len(ns), dtype=np.int64), np.full(len(ns), -1)
-        if self.of_scene is not None:  # writers of bags keep the order of arrival
+        if self.reset_times is not None:  # writers of bags keep the order of arrival
             order = np.argsort(log_ns, kind='stable')
             sequence, log_ns, ns, values, messages = (
                 array[order] for array in (sequence, log_ns, ns, values, messages))
-            found = np.searchsorted(self.of_scene, log_ns, 'right')
+            found = np.searchsorted(self.reset_times, log_ns, 'right')
             if collector.command:
                 sequence[:] = 0  # those of the recorder
                 ns = np.rint(1e9 * self.scene.step * self._steps_of_commands(log_ns, ns, found))
@@ -385,8 +386,9 @@ class Recording:
         order = np.argsort(ns, kind='stable')
         resets, step, log_ns, ns, values, messages = (
             array[order] for array in (resets, step, log_ns, ns, values, messages))
-        return Series(collector.topic, collector.columns, step, ns, log_ns, values,
-                      collector.refused, resets, messages.tolist() if collector.command else [])
+        return Series(topic=collector.topic, columns=collector.columns, step=step, ns=ns,
+                      log_ns=log_ns, values=values, refused=collector.refused, resets=resets,
+                      data=messages.tolist() if collector.command else [])
 
     def _steps_of_commands(self, sent, stamps, resets):
         """

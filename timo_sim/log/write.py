@@ -12,7 +12,6 @@ from __future__ import annotations
 from collections import Counter, defaultdict, deque
 from collections.abc import Iterator
 from contextlib import suppress
-import errno
 import fcntl
 from functools import cache
 from importlib.metadata import version
@@ -39,6 +38,7 @@ from mcap.writer import LIBRARY_IDENTIFIER, MCAP0_MAGIC
 import numpy as np
 import yaml
 
+from timo_sim.scene.files import check_target
 from timo_sim.scene.parameters import changed, frame_names
 from timo_sim.topics.cdr import pack, schema_text, Serializer, TYPE_HASHES
 from timo_sim.topics.commands import COMMANDS
@@ -143,7 +143,7 @@ def plain(text: str) -> str:
 
 
 class Chunk:
-    """Messages to be compressed together; by channel flat lists of times [ns] and positions."""
+    """A chunk that grows; `index` has by channel [time, offset, time, offset, ...] [ns, B]."""
 
     def __init__(self) -> None:
         self.data = bytearray()
@@ -159,7 +159,7 @@ class Chunk:
 
 
 class Writer:
-    """Writes a stream from its first byte to its last, of a profile; `size` is what it has [B]."""
+    """Writes an MCAP file with a profile; `size` is the number of bytes so far."""
 
     def __init__(self, stream: BinaryIO, profile: str) -> None:
         self._stream, self._profile = stream, profile
@@ -510,10 +510,7 @@ class NewLog(Recorder):
 
 def create(path: Path) -> tuple[Path, BinaryIO]:
     """Make a new file, numbered if it exists, and its folders; return its path and stream."""
-    if path.is_dir():
-        raise IsADirectoryError(errno.EISDIR, os.strerror(errno.EISDIR), str(path))
-    if path.exists() and not path.is_file():
-        raise OSError(f'{path} must be a regular file or none yet, not a device or FIFO')
+    check_target(path)
     path.parent.mkdir(parents=True, exist_ok=True)
     # With mode 'x' the file system guarantees that nothing is overwritten.
     for candidate in numbered(path):

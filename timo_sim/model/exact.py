@@ -42,7 +42,6 @@ share `M_i0 q_0'` (T31); its acceleration is needed only where the state has rat
 """
 
 from copy import copy
-import math
 from typing import Any
 
 import numpy as np
@@ -92,13 +91,16 @@ class Exact(Formulation):
         self._kernel, self._slope = kernel, rotation + shear
         push = self.push_point.integral.T if self.push_point else np.empty((0, len(rotation)))
         tables = Tables(
-            self.mass, kernel if one_axis else kernel[:1], to_centre, rotation.T, shear.T, rotary,
-            np.empty((0, 0)), damping, self.manipulator.carrier_friction,
-            np.array(self.manipulator.coulomb), np.reshape(self.manipulator.motor_limit, (-1, 2)),
-            self.axes, self.held_position,
-            self.points.integral[:, -1], at_points[-1], self.mass * self.gravity, push,
-            self._stretch[len(self._stretch) - self.axial:], np.append(0.0, modes.omega**2),
-            np.empty((0, 2, 0)), -1, 0.0, np.empty((0, 0)), gear)
+            mass=self.mass, kernel=kernel if one_axis else kernel[:1], to_centre=to_centre,
+            rotation=rotation.T, shear=shear.T, rotary=rotary, straight=np.empty((0, 0)),
+            damping=damping, carrier_friction=self.manipulator.carrier_friction,
+            coulomb=np.array(self.manipulator.coulomb),
+            motor_limit=np.reshape(self.manipulator.motor_limit, (-1, 2)), axes=self.axes,
+            held_position=self.held_position, to_tip=self.points.integral[:, -1],
+            tip_rotation=at_points[-1], weight=self.mass * self.gravity, push=push,
+            stretch=self._stretch[len(self._stretch) - self.axial:],
+            stiffness=np.append(0.0, modes.omega**2), linear_rate=np.empty((0, 2, 0)), sector=-1,
+            bands_per_speed=0.0, turning=np.empty((0, 0)), gear=gear)
         tables, linear = self._with_linear_part(tables, locked if one_axis else None)
         if self.sectors and self.axial:
             self._band = BAND * modes.omega[0]
@@ -210,19 +212,21 @@ class Exact(Formulation):
         return (cosine, sine, cosine - gamma * sine + stretch * cosine,
                 sine + gamma * cosine + stretch * sine)
 
-    def sector(self, state: np.ndarray, load: np.ndarray) -> int | None:
-        """Return the number of the sector of the shaft angle and of the band of its speed."""
+    def sector(self, state: np.ndarray, load: np.ndarray,
+               bands_per_speed: np.ndarray | None = None) -> Any:
+        """Return the numbers of the sectors of the shaft angle and of the bands of its speed."""
         if not self.sectors:
             return None
-        axes, band = len(self.axes), 0
-        angle = load[ANGLE] if self.driven else state[axes]
-        speed = load[SPEED] if self.driven else state[len(state) // 2 + axes]
-        if not (math.isfinite(angle) and math.isfinite(speed)):
-            return 0  # of a run that diverges any will do
+        axes = len(self.axes)
+        angle = load[..., ANGLE] if self.driven else state[..., axes]
+        speed = load[..., SPEED] if self.driven else state[..., state.shape[-1] // 2 + axes]
+        good = np.isfinite(angle) & np.isfinite(speed)  # of a run that diverges any will do
+        found = np.floor(np.where(good, angle, 0.0) * (SECTORS / np.pi)) % SECTORS
         if self.axial:
-            band = math.floor(speed * self.tables.bands_per_speed)
-            band = min(max(band, -BANDS), BANDS - 1) + BANDS
-        return math.floor(angle * (SECTORS / math.pi)) % SECTORS + SECTORS * band
+            bands = self.tables.bands_per_speed if bands_per_speed is None else bands_per_speed
+            found += SECTORS * (BANDS + np.clip(np.floor(
+                np.where(good, speed, 0.0) * bands), -BANDS, BANDS - 1))
+        return found.astype(int) if state.ndim > 1 else int(found)
 
     def in_sector(self, number: int) -> tuple[Any, np.ndarray]:
         """Return tables and linear part of the straight arm in the middle of a sector, a band."""

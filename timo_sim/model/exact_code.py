@@ -522,6 +522,42 @@ def _observe(tables, state, load, out):
         out[half + axis] = carrier_speed(tables, state, k, derivative, work.speed)
 
 
+@functions.joint_place.of(Tables, merge=True)
+def _joint_place(tables, state, load, joint):
+    """Return the place of a joint; the carrier's is by the mass centre (T25)."""
+    count, axes = len(tables.rotation), len(tables.axes)
+    driven, found = count - len(tables.straight), 0.0
+    if joint >= 2:
+        found = load[ANGLE] if driven else state[axes]
+        if joint == 2:
+            for n in range(len(tables.gear)):
+                found += tables.gear[n, PER_COORDINATE] * state[
+                    axes + _gear_place(tables) - driven]
+    else:
+        rotation, shear = as_vectors(tables.rotation), as_vectors(tables.shear)
+        to_centre, stretch = as_vectors(tables.to_centre), as_vectors(tables.stretch)
+        centre = 0.0
+        for j in range(len(to_centre)):
+            phi, gamma = 0.0, 0.0
+            if driven:
+                phi, gamma = load[ANGLE] * rotation[0, j], load[ANGLE] * shear[0, j]
+            for i in range(driven, count):
+                phi += state[axes + i - driven] * rotation[i, j]
+                gamma += state[axes + i - driven] * shear[i, j]
+            along = 1.0
+            for i in range(count - len(stretch), count):
+                along += state[axes + i - driven] * stretch[i - count + len(stretch), j]
+            sine, cosine = sincos(phi)
+            if joint == 0:
+                centre += to_centre[j] * (along * cosine - gamma * sine)
+            else:
+                centre += to_centre[j] * (along * sine + gamma * cosine)
+        for k in range(axes):
+            if tables.axes[k] == joint:
+                found = state[k] - sum_of(centre, tables.to_centre)
+    return found
+
+
 @inner
 def _fields(tables, values, begin, first, j):
     """

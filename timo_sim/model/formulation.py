@@ -40,11 +40,11 @@ class Formulation(ABC):
     """
     Equations of motion of a manipulator in N assumed modes.
 
-    The N modes are those in bending, then that of the gear if it is elastic (T60), then axial ones
-    if the arm stretches. A *motion*
-    `[x_c, y_c, theta, q_1..q_N, d/dt of each]` of size 2 (3 + N) is the same for all formulations:
-    carrier in world axes [m], shaft angle [rad], modal coordinates [m sqrt(kg)]. A *state* is what
-    a formulation integrates: its free coordinates, then as many momenta or rates; size m.
+    Coordinates are x_c, y_c, theta and N modal ones: of modes in bending, then of the twist of an
+    elastic gear (T60), then of axial modes if the arm stretches. A *motion* `[x_c, y_c, theta,
+    q_1..q_N, d/dt of each]` of size 2 (3 + N) is the same for all formulations: carrier in world
+    axes [m], shaft angle [rad], modal coordinates [m sqrt(kg)]. A *state* is what a formulation
+    integrates: its free coordinates, then as many momenta or rates; size m.
 
     Parameters
     ----------
@@ -110,7 +110,7 @@ class Formulation(ABC):
         self.gear: Any = manipulator.gear
         if self.gear:
             self.modes = JoinedModes(self.modes, GearMode(self.gear))
-        # Modal masses are 1 with the end effector that the modes were made for.
+        # Modes are orthonormal only for the end effector that they were computed with.
         self.own_modes = basis == manipulator
         if axial:
             self.modes = JoinedModes(self.modes, axial_modes(basis, axial, constraints))
@@ -157,7 +157,7 @@ class Formulation(ABC):
 
     @property
     def driven_turns(self) -> np.ndarray:
-        """Places of carrier and rotor, on which commands act, per coordinate, (3 + N, 3)."""
+        """Jacobian, (3 + N, 3), of where actuators act, carrier x, y and rotor, by coordinate."""
         return np.column_stack([*np.eye(2, self.size // 2), self.rotor])
 
     @property
@@ -175,8 +175,13 @@ class Formulation(ABC):
         """Return the dict in which all `Steps` of a length [s] share their linear parts."""
         return self._linear_parts.setdefault(step, {})
 
-    def sector(self, state: np.ndarray, load: np.ndarray) -> int | None:
-        """Return the number of the sector of a state, or None where there are no sectors."""
+    def sector(self, state: np.ndarray, load: np.ndarray,
+               bands_per_speed: np.ndarray | None = None) -> Any:
+        """
+        Return the numbers of the sectors of states, (..., m), or None where there are no sectors.
+
+        `load`, (..., LOADS), are the loads then; `bands_per_speed`, (...), is that of the tables.
+        """
         return None
 
     def in_sector(self, number: int) -> tuple[Any, np.ndarray]:

@@ -35,6 +35,11 @@ def observe(tables, state, load, out):
     """Write the motion that belongs to a state and a load."""
 
 
+@declare
+def joint_place(tables, state, load, joint):
+    """Return the place of a joint: carrier x, y, rotor (the shaft of a rigid gear), shaft."""
+
+
 @inner
 def copy(vector, out):
     for i in range(min(len(vector), len(out))):

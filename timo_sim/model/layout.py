@@ -58,17 +58,18 @@ def without_unit(column: str) -> tuple[str, str]:
     return column, ''
 
 
-_FORCE = 'carrier.force_limit', 'carrier.force_rate_limit'
+_FORCE = {'limit': 'carrier.force_limit', 'rate_limit': 'carrier.force_rate_limit'}
 # The columns of a load, in this order. Arm axes turn with the shaft. The angle, speed and
 # acceleration are those of a driven shaft. The equations see only the torque of a voltage.
 INPUTS = (
-    Input('force_x', 'N', 'force on the carrier along world x', 'carrier', 'world', *_FORCE),
-    Input('force_y', 'N', 'force on the carrier along world y', 'carrier', 'world', *_FORCE),
-    Input('force_along_arm', 'N', 'force on the carrier along the arm', 'carrier', 'arm', *_FORCE),
+    Input('force_x', 'N', 'force on the carrier along world x', 'carrier', 'world', **_FORCE),
+    Input('force_y', 'N', 'force on the carrier along world y', 'carrier', 'world', **_FORCE),
+    Input('force_along_arm', 'N', 'force on the carrier along the arm', 'carrier', 'arm',
+          **_FORCE),
     Input('force_across_arm', 'N', 'force on the carrier across the arm', 'carrier', 'arm',
-          *_FORCE),
-    Input('torque', 'N m', 'torque on the shaft', 'shaft', 'world', 'motor.torque_limit',
-          'motor.torque_rate_limit'),
+          **_FORCE),
+    Input('torque', 'N m', 'torque on the shaft', 'shaft', limit='motor.torque_limit',
+          rate_limit='motor.torque_rate_limit'),
     Input('tip_force_x', 'N', 'force on the end effector along world x', 'tip'),
     Input('tip_force_y', 'N', 'force on the end effector along world y', 'tip'),
     Input('tip_force_along_arm', 'N', 'force on the end effector along the arm', 'tip', 'arm'),
@@ -77,7 +78,7 @@ INPUTS = (
     Input('angle', 'rad', 'angle of a driven shaft'),
     Input('speed', 'rad/s', 'speed of a driven shaft'),
     Input('acceleration', 'rad/s2', 'acceleration of a driven shaft'),
-    Input('voltage', 'V', 'voltage at a DC motor', 'shaft', 'world', 'motor.dc.voltage_limit',
+    Input('voltage', 'V', 'voltage at a DC motor', 'shaft', limit='motor.dc.voltage_limit',
           needs='motor.dc.resistance'),
     Input('push_x', 'N', 'force on the arm at push.position along world x', 'push',
           needs='push.position'),

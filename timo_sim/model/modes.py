@@ -115,7 +115,8 @@ class UniformModes(Modes):
         self._arm = pack(UniformArm(
             manipulator.arm.length, section.mass_per_length, section.bending_stiffness,
             section.shear_stiffness, *section.ratios,
-            manipulator.end_effector_mass, manipulator.end_effector_inertia))
+            end_effector_mass=manipulator.end_effector_mass,
+            end_effector_inertia=manipulator.end_effector_inertia))
         self._compute_fields, self._known = fields.of(self._arm), {}
         self.omega = self._roots(manipulator, count)
         # The shares of the waves in a mode are the null vector of its boundary conditions (T7).

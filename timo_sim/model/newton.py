@@ -112,9 +112,11 @@ class Newton(Formulation):
             self.manipulator.shaft_inertia + mass @ lever**2 + self.point_inertia.sum())
         matrix[0, 1:] = matrix[1:, 0] = about_shaft + self.points.rotation @ self.point_inertia
         column = np.append(self.first_moment, self.modal_moments)
-        return Laws(matrix, column, np.vstack([about_shaft, self.deflection_mass]),
-                    np.vstack([np.zeros(count), np.eye(count)]), self.arm_mass, column,
-                    self.modal_moments, np.zeros(count), self.modal_moments)
+        return Laws(matrix=matrix, column=column,
+                    softening=np.vstack([about_shaft, self.deflection_mass]),
+                    stress=np.vstack([np.zeros(count), np.eye(count)]), shear_mass=self.arm_mass,
+                    shear_row=column, shear_softening=self.modal_moments,
+                    shear_stress=np.zeros(count), axial=self.modal_moments)
 
     def build(self) -> tuple[Any, np.ndarray]:
         """Return the tables and the linear part; set the speed limit."""
@@ -145,19 +147,28 @@ class Newton(Formulation):
         linear[half + axes:, modal:half] = rate * stiffness
         linear[half + axes:, half + modal:] = rate * damping
         tables = Tables(
-            base_mass, self.arm_mass, self.first_moment, inverse, laws.matrix[:, 0], response,
-            mass_across, per_stress[0], shear_per_stress, linear_beta, laws.softening,
-            laws.shear_row, laws.shear_softening, laws.axial, stiffness, damping,
-            np.array([self.manipulator.carrier_friction, self.manipulator.shaft_friction]),
-            np.array(self.manipulator.coulomb), np.reshape(self.manipulator.motor_limit, (-1, 2)),
-            self.axes, self.held_position,
-            lever[-1], deflection[:, -1], rotation[:, -1], self.gravity,
-            self.push_point.lever[0] if self.push_point else 0.0,
-            self.push_point.deflection.T if self.push_point else np.empty((0, len(stiffness))),
-            self.manipulator.shaft_inertia + mass @ lever**2 + inertia.sum(), laws.shear_mass,
-            laws.matrix[0], laws.column[0], laws.stress[0], laws.shear_stress,
-            self.modal_moments, deflection @ (mass * lever) + rotation @ inertia,
-            self.deflection_mass, self.deflection_mass + (rotation * inertia) @ rotation.T)
+            base_mass=base_mass, arm_mass=self.arm_mass, first_moment=self.first_moment,
+            inverse=inverse, coupling=laws.matrix[:, 0], response=response,
+            mass_across=mass_across, shaft_per_stress=per_stress[0],
+            shear_per_stress=shear_per_stress, linear_beta=linear_beta, softening=laws.softening,
+            shear_row=laws.shear_row, shear_softening=laws.shear_softening, axial=laws.axial,
+            stiffness=stiffness, damping=damping,
+            viscous_friction=np.array(
+                [self.manipulator.carrier_friction, self.manipulator.shaft_friction]),
+            coulomb=np.array(self.manipulator.coulomb),
+            motor_limit=np.reshape(self.manipulator.motor_limit, (-1, 2)), axes=self.axes,
+            held_position=self.held_position, length=lever[-1], tip_deflection=deflection[:, -1],
+            tip_rotation=rotation[:, -1], gravity=self.gravity,
+            push_place=self.push_point.lever[0] if self.push_point else 0.0,
+            push_deflection=self.push_point.deflection.T if self.push_point else (
+                np.empty((0, len(stiffness)))),
+            inertia=self.manipulator.shaft_inertia + mass @ lever**2 + inertia.sum(),
+            shear_mass=laws.shear_mass, shaft_row=laws.matrix[0], shaft_column=laws.column[0],
+            shaft_stress=laws.stress[0], shear_stress=laws.shear_stress,
+            moments=self.modal_moments,
+            about_root=deflection @ (mass * lever) + rotation @ inertia,
+            deflection_mass=self.deflection_mass,
+            modal_mass=self.deflection_mass + (rotation * inertia) @ rotation.T)
         return tables, linear
 
     def state(self, motion: np.ndarray) -> np.ndarray:
@@ -206,7 +217,8 @@ class Newton(Formulation):
         return np.stack([np.zeros_like(rate), rate], axis=-1)
 
 
-# Compiled functions. `driven` is 1 if the shaft is driven or locked, so that theta has no row.
+# Compiled functions. A driven or locked shaft, `driven` = 1, has no equation of its own: the rows
+# begin at q_1.
 
 class Tables(NamedTuple):
     """
@@ -452,6 +464,20 @@ def _observe(tables, state, load, out):
         driven = len(tables.softening) - len(tables.inverse)
         for i in range(driven, len(tables.softening)):
             out[goal + 2 + i] = state[source + len(tables.axes) + i - driven]
+
+
+@functions.joint_place.of(Tables, merge=True)
+def _joint_place(tables, state, load, joint):
+    """Return the place of a joint, a number of the state if it is free."""
+    found = 0.0
+    if joint >= 2:
+        found = (load[ANGLE] if len(tables.softening) > len(tables.inverse)
+                 else state[len(tables.axes)])
+    else:
+        for k in range(len(tables.axes)):
+            if tables.axes[k] == joint:
+                found = state[k]
+    return found
 
 
 @functions.effort.of(Tables)

@@ -178,7 +178,7 @@ class Interfaces:
 
     def _get_entities_states(self, request, response):
         self._get_entities(request, response)
-        response.states = self._node.look(
+        response.states = self._node.with_snapshot(
             lambda snapshot: [self._state_of(name, snapshot) for name in response.entities])
 
     def _get_entity_info(self, request, response):
@@ -186,7 +186,7 @@ class Interfaces:
         response.info.description = _ENTITIES[_known(request.entity)]
 
     def _get_entity_state(self, request, response):
-        response.state = self._node.look(partial(self._state_of, _known(request.entity)))
+        response.state = self._node.with_snapshot(partial(self._state_of, _known(request.entity)))
 
     def _state_of(self, name, snapshot):
         """Return the state of an entity in world axes, an EntityState."""

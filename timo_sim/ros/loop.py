@@ -55,8 +55,8 @@ class Loop:
         self.paused: bool = values['start_paused']
         self.diverged: str | None = None
         self._commands, self._log, self._logger = commands, log, logger
-        # Where states wake the controller, its clock should be as late as they are; where /clock
-        # wakes it, as ros2_control, the states should be there.
+        # /clock first, then the states, which wake the controller, so that it reads the new time.
+        # Where /clock itself wakes it, as in ros2_control, the states come first.
         self._outlets = sorted(outlets, key=lambda outlet: outlet.name != '/clock') if (
             self.gate and self.gate.stamped) else outlets
         self._late = [outlet for outlet in outlets if isinstance(outlet, LateOutlet)]
@@ -304,7 +304,8 @@ class Pace:
         lost = self.dropped_steps * self._step
         if lost:
             return f'{late}{lost:.6g} s of sim time were lost to delays beyond catch_up_limit'
-        return late + 'all were caught up, ' * bool(late) + 'no sim time was lost'
+        return f'{late}all were caught up, no sim time was lost' if late else (
+            'no sim time was lost')
 
     def deadline(self, steps: int) -> float:
         """Return the wall time of the next tick [s]."""
@@ -319,8 +320,8 @@ class Gate:
     The run begins with the first command, which is waited for without limit or, where any command
     is an answer, until somebody publishes commands: a controller manager on sim time sends none
     before its clock has gone on by a period. Then a wait takes at most `timeout` [s of wall time].
-    The stamp of the first state is `late` by a nanosecond, and by one more for each further reset
-    at the same step: at time 0 it would otherwise equal the stamp 0 of a command that has none.
+    The first state after a reset is stamped 1 ns late, 2 ns after a second reset at that step, and
+    so on: at time 0 its stamp would otherwise be 0, which is that of a command without one.
 
     `period` is the number of steps from one wait to the next, 0 without lock step. An answer has
     the stamp of the state if `stamped`; if not, any command is an answer. `missed` counts waits

@@ -26,7 +26,8 @@ from timo_sim.runs.simulate import resolve
 from timo_sim.scene.parameters import (
     frame_names, LATEST, ParameterError, PARAMETERS, SCENE)
 from timo_sim.scene.scene import find_implausible, scene_from
-from timo_sim.simulation.simulator import Simulator, STEPS_BEHIND
+from timo_sim.simulation.finer import EstimatingSimulator, STEPS_BEHIND
+from timo_sim.simulation.simulator import Simulator
 from timo_sim.simulation.snapshot import Snapshot
 from timo_sim.topics.outputs import TRANSFORMS
 
@@ -55,9 +56,9 @@ class SimNode(ParameterNode):
 
     def _prepare(self, values):
         """
-        Return what `_make` needs for parameters, among which modes and step may be chosen.
+        Resolve and check a scene, and compile it; return what `_make` needs.
 
-        All that is wrong with a scene is found here.
+        This changes nothing, and raises all errors of a scene.
         """
         tell = self.get_logger().info
         if values['model.accuracy']:
@@ -67,7 +68,7 @@ class SimNode(ParameterNode):
         values.update(scene.values)
         steps_each = steps_between_messages(values, scene.step)
         sync_steps(values, scene.step)
-        simulator = Simulator(scene, values['estimate_error'])
+        simulator = (EstimatingSimulator if values['estimate_error'] else Simulator)(scene)
         simulator.warm_up(tell, messages=True)
         doubts = find_implausible(scene.values)
         if doubts:
@@ -81,10 +82,11 @@ class SimNode(ParameterNode):
         self._log = RunLog(self.get_logger())
         self._commands = Commands(self, values['motor.dc.resistance'] > 0.0, self.frames)
         self._outlets = self._make_outlets(scene)
-        self._loop = Loop(self._simulator, values, self._commands, self._outlets, self._log,
-                          self.get_logger(), end)
-        self._health = Health(self, self._simulator, self._loop, self._commands, self._log,
-                              values['publish_clock'])
+        self._loop = Loop(simulator=self._simulator, values=values, commands=self._commands,
+                          outlets=self._outlets, log=self._log, logger=self.get_logger(), end=end)
+        self._health = Health(node=self, simulator=self._simulator, loop=self._loop,
+                              commands=self._commands, log=self._log,
+                              publishes_clock=values['publish_clock'])
         self._loop.configure(values, steps_each)
         self._description = Outlet(self, DESCRIPTION, TEXT, values['publish_tf'], latched=True)
         self._scene_topic = Outlet(self, '~/scene', TEXT, latched=True)
@@ -160,7 +162,8 @@ class SimNode(ParameterNode):
         self._loop.poll()
         wait = self._loop.tick(now, self._stop)
         # The error is measured while nothing else is due.
-        return 0.0 if wait > 0.0 and self._simulator.measure_error(STEPS_BEHIND) else wait
+        follows = wait > 0.0 and isinstance(self._simulator, EstimatingSimulator)
+        return 0.0 if follows and self._simulator.measure_error(STEPS_BEHIND) else wait
 
     def _close(self):
         wall_time = time.monotonic() - self._opened
@@ -228,8 +231,8 @@ class SimNode(ParameterNode):
             self._loop.restart()
             return f'reset at step {self.steps}'
 
-    def look(self, read: Callable[[Snapshot], Any]) -> Any:
-        """Return what a function reads from the Snapshot of the present motion."""
+    def with_snapshot(self, read: Callable[[Snapshot], Any]) -> Any:
+        """Return what a function returns for the Snapshot of now; the motion stands meanwhile."""
         with self._lock:
             return read(self._loop.snapshot())
 

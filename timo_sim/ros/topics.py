@@ -38,8 +38,9 @@ def message_class(type_name: str) -> type:
 def channel_of(endpoint: Publisher | Subscription, type_name: str, name: str) -> Channel:
     """Return the channel of a publisher or subscription in the log, with the QoS that acts."""
     qos = endpoint.qos_profile
-    return Channel(endpoint.topic_name, type_name, name, qos.depth, qos.reliability.name.lower(),
-                   qos.durability.name.lower())
+    return Channel(topic=endpoint.topic_name, type_name=type_name, name=name, depth=qos.depth,
+                   reliability=qos.reliability.name.lower(),
+                   durability=qos.durability.name.lower())
 
 
 class Outlet:

@@ -184,9 +184,9 @@ def linearize(scene: SceneLike, at: np.ndarray | None = None, contact: str = '')
     are free coordinates, then their rates. Inputs are forces on carrier, tip and arm in world
     axes, torques on shaft and tip, the voltage at a DC motor; without those that have no effect.
     Outputs are carrier and shaft, tip in world axes, deflection and rotation of the tip, its angle
-    as seen from the root, strain at the root, rates of carrier and shaft, the angle of the rotor
-    of an elastic gear, and what an IMU at the tip measures: angular velocity, and specific force
-    along (`..._along_...`) and across the tip.
+    as seen from the root, strain at the root, rates of carrier and shaft, angle and speed of the
+    rotor of an elastic gear, and what an IMU at the tip measures: angular velocity, and specific
+    force along (`..._along_...`) and across the tip.
 
     Parameters
     ----------
@@ -269,8 +269,8 @@ def linearize(scene: SceneLike, at: np.ndarray | None = None, contact: str = '')
             _outputs(formulation, at, load + unit) - still + residual @ unit, spring)
     names = _output_names(formulation)
     bend = c[names.index('tip_transverse_m')] / formulation.manipulator.arm.length
-    return LinearModel(a, b, c, d, state_names(formulation), tuple(inputs), names, equilibrium,
-                       places, bend=bend)
+    return LinearModel(A=a, B=b, C=c, D=d, states=state_names(formulation), inputs=tuple(inputs),
+                       outputs=names, equilibrium=equilibrium, places=places, bend=bend)
 
 
 def in_contact(scene: Scene, model: Formulation, at: np.ndarray,
@@ -397,6 +397,7 @@ def _output_names(model):
             'tip_axial_m', 'tip_transverse_m', 'tip_rotation_rad', 'tip_angle_rad', 'root_strain',
             'carrier_x_velocity_m_per_s', 'carrier_y_velocity_m_per_s',
             'shaft_velocity_rad_per_s', *_of_motion(model),
+            *['rotor_velocity_rad_per_s'] * bool(model.gear),
             'gyro_rad_per_s', 'tip_acceleration_along_m_per_s2', 'tip_acceleration_m_per_s2')
 
 
@@ -412,6 +413,7 @@ def _outputs(model, motion, load):
         model.section_rotation(q, tip)[0], [np.arctan2(across, along)],
         joints.root_strain, motion[half:half + 3],
         *(read(model, motions) for read in _of_motion(model).values()),
+        [motion[half:] @ model.rotor] * bool(model.gear),
         motion[half + 2] + model.section_rotation(motions[:, half + 3:], tip)[0],
         joints.tip_acceleration[0]])
 

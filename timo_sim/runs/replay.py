@@ -66,8 +66,9 @@ def run_of(recording: Recording) -> Run:
     _, ns, motion = recording.motion()
     scene = recording.scene
     heat = np.full(len(ns), np.nan) if scene.has_dry_friction else np.zeros(len(ns))
-    return Run(scene, scene.build(), 1e-9 * ns, motion, heat, None, recording.summary, recording,
-               recording.payloads)
+    return Run(scene=scene, model=scene.build(), t=1e-9 * ns, values=motion, friction_heat=heat,
+               warning=None, stats=recording.summary, recording=recording,
+               payloads=recording.payloads)
 
 
 def replay(file: str | Path, changes: Mapping[str, Any] | None = None,
@@ -264,8 +265,9 @@ def segments_of(recording: Recording, scene: Scene, values: Mapping[str, Any], s
                 at = np.arange(first - first % every, until[name] + 1, every).clip(first)
                 samples[name] = at[at <= until[name]]
         inside.sort(key=lambda entry: entry[:2])
-        result.append(Segment(first, end, inside, changes, samples, logged))
-        if recording.of_scene is not None:  # the log of a node has a message for each time-out
+        result.append(Segment(first=first, last=end, commands=inside, changes=changes,
+                              samples=samples, logged=logged))
+        if recording.reset_times is not None:  # the log of a node has a message for each time-out
             result[-1].commands = _with_timeouts(inside, recording, scene, end)
             result[-1].timeouts = len(result[-1].commands) - len(inside)
     return result

@@ -16,7 +16,7 @@ from timo_sim.export.c import export_c, link
 from timo_sim.export.constants import interface_of
 from timo_sim.log.read import LogFile
 from timo_sim.log.write import NewLog
-from timo_sim.scene.files import whole_file
+from timo_sim.scene.files import check_target, whole_file
 from timo_sim.scene.parameters import frame_names
 from timo_sim.scene.scene import Scene
 from timo_sim.topics.cdr import form, Number
@@ -54,6 +54,7 @@ def write_hardware(scene: Scene, values: Mapping[str, Any],
     ParameterError if the scene cannot be exported; OSError without a C compiler.
     """
     library = Path(library).resolve()
+    check_target(library)
     with TemporaryDirectory() as folder:
         export_c(scene, folder)
         Path(folder, 'scene.c').write_text(_scene_in_c(scene, values, folder))

@@ -311,11 +311,12 @@ def run_scene(scene: Scene, steps: int, sample_every: int = 1,
 
     def run_until(step):
         samples = slice(step // sample_every + 1)
-        stats = {'steps': simulator.steps, 'wall_time_s': time.monotonic() - begun,
+        stats = {'steps': step, 'wall_time_s': time.monotonic() - begun,
                  'estimated_tip_error_m': math.nan, 'estimated_deflection_error_m': math.nan,
                  'impact_loss_J': simulator.tip_load.lost}
-        return Run(scene, scene.build(), np.arange(samples.stop) * sample_every * scene.step,
-                   motion[samples], heat[samples], simulator.warning, stats,
+        return Run(scene=scene, model=scene.build(),
+                   t=np.arange(samples.stop) * sample_every * scene.step, values=motion[samples],
+                   friction_heat=heat[samples], warning=simulator.warning, stats=stats,
                    payloads=scene.payloads)
 
     while simulator.steps < steps:
@@ -325,12 +326,13 @@ def run_scene(scene: Scene, steps: int, sample_every: int = 1,
         try:
             motion[samples], heat[samples] = simulator.advance(count, sample_every=sample_every)
         except DivergenceError as error:
-            # A call that fails returns no samples: a second simulator takes those that are good.
+            # A call that fails returns no samples: those that are good are taken again.
             last = simulator.steps // sample_every * sample_every
-            again = Simulator(scene)
-            again.advance(first)
+            simulator.reset()
+            simulator.advance(first)
             samples = slice(samples.start, last // sample_every + 1)
-            motion[samples], heat[samples] = again.advance(last - first, sample_every=sample_every)
+            motion[samples], heat[samples] = simulator.advance(
+                last - first, sample_every=sample_every)
             error.run = run_until(last)
             raise
         report(count)

@@ -1,23 +1,19 @@
 # Copyright 2026 The timo_sim authors
 # SPDX-License-Identifier: Apache-2.0
 
-"""Sensitivities: derivatives of what a run shows by parameters, initial state and commands."""
+"""Sensitivities: derivatives of what a run shows by parameters of its scene."""
 
 from __future__ import annotations
 
 from collections.abc import Callable, Mapping, Sequence
 from dataclasses import dataclass
-from typing import Any, NamedTuple
-
 import numpy as np
 
-from timo_sim.model.layout import INPUTS
 from timo_sim.scene.parameters import (
-    checked, FUNCTION, MAPPING, Parameter, ParameterError, short, steps_in, warn)
+    checked, FUNCTION, Parameter, ParameterError, steps_in, warn)
 from timo_sim.scene.scene import (
     INITIAL, initial_names, initial_scale, load_scene, number_of, overrides_of, SceneLike)
 from timo_sim.simulation.batch import Batch
-from timo_sim.simulation.loads import ARGUMENTS, check_arguments
 from timo_sim.simulation.warnings import DivergenceError
 
 _LEVELS, _RATIO = 8, 4.0  # differences for each input, and the ratio of their steps
@@ -43,21 +39,20 @@ class Sensitivities:
     error: np.ndarray
 
 
-@checked(output=FUNCTION, commands=MAPPING)
+@checked(output=FUNCTION)
 def sensitivities(scene: SceneLike, duration: float,
                   output: Callable[[Batch], np.ndarray] = Batch.position,
                   parameters: Sequence[str] | Mapping[str, float] = (),
-                  commands: Mapping[str, Any] | None = None,
                   samples: int = 1) -> Sensitivities:
     """
-    Differentiate an output of a run by parameters, initial state and commands.
+    Differentiate an output of a run by parameters of the scene, its initial state among them.
 
     Central differences of eight steps, each a quarter of the last, are extrapolated to a step of
     0; of all results the one with the smallest estimated error is taken, separately for each
     derivative. All runs are one `Batch`. Derivatives are those of the run with its modes and
     steps. Where an output has a kink, such as at a limit, the derivative is the mean of both
-    sides, and the error includes half of their difference. Source: Ridders, Advances in
-    Engineering Software 4 (1982) 75-76.
+    sides, and the error includes half of their difference. Derivatives by commands are those of
+    `Simulator.step_derivatives`. Source: Ridders, Advances in Engineering Software 4 (1982) 75-76.
 
     Parameters
     ----------
@@ -70,9 +65,6 @@ def sensitivities(scene: SceneLike, duration: float,
         Names of the scene's parameters, with [k] for an element of a list; `initial` stands for
         the whole initial state. A dict has the size of a change that matters for each; otherwise
         this is the value of the parameter.
-    commands : dict, optional
-        By name of a parameter of `Batch.step`, such as `torque`: values that act one after
-        another, each as long, shape (k,), or (k, 2) for forces. Each number is an input.
     samples : int
         Number of times at which the output is taken, evenly spaced, the last at the end.
 
@@ -80,7 +72,7 @@ def sensitivities(scene: SceneLike, duration: float,
     ------
     ParameterError
         If a name is unknown, a parameter is 0 and has no size, a changed value breaks its rule,
-        the scene cannot be in a `Batch`, or steps are not a multiple of samples and commands.
+        the scene cannot be in a `Batch`, or steps are not a multiple of samples.
     DivergenceError
         If the run itself diverges.
 
@@ -99,27 +91,26 @@ def sensitivities(scene: SceneLike, duration: float,
     """
     scene = load_scene(scene).with_fixed_shapes()
     steps = steps_in(duration, scene.step)
-    commanded = _check_commands(commands or {})
-    inputs = [*_inputs_of_scene(scene, parameters),
-              *_inputs_of_commands(scene, commanded, duration)]
+    inputs = [*_inputs(scene, parameters)]
     if not inputs:
-        raise ParameterError('sensitivities need parameters or commands, got none')
-    sampled = _ends_of_parts(steps, 'samples', _SAMPLES.check(samples))
-    edges = {0, *sampled}.union(*(_ends_of_parts(steps, name, len(values))
-                                  for name, values in commanded.items()))
+        raise ParameterError('sensitivities need parameters, got none')
+    count = _SAMPLES.check(samples)
+    if not steps or steps % count:
+        raise ParameterError(f'the {steps} steps of the run must be a multiple of the number of '
+                             f'samples, got {count}')
     changes = _FIRST_STEP / _RATIO**np.arange(_LEVELS)
-    runs = [(scene, commanded)]
-    for each in inputs:
-        runs.extend(each.changed(scene, commanded, sign * change)
-                    for sign in (1.0, -1.0) for change in each.scale * changes)
-    seen = _outputs(runs, output, steps, sorted(edges), sampled)
+    scenes = [scene]
+    for name, value, scale in inputs:
+        scenes.extend(scene.vary(overrides_of({name: value + sign * change}, scene))
+                      for sign in (1.0, -1.0) for change in scale * changes)
+    seen = _outputs(Batch(scenes), output, steps // count, count)
     # Samples, inputs, signs, levels, output.
     varied = seen[:, 1:].reshape(len(seen), len(inputs), 2, _LEVELS, *seen.shape[2:])
     above, below = np.moveaxis(varied, (2, 1, 3), (0, 1, 2))  # input, level, sample, output
-    found = [_derivative(seen[:, 0], above[k], below[k], each.scale * changes)
-             for k, each in enumerate(inputs)]
+    found = [_derivative(seen[:, 0], above[k], below[k], scale * changes)
+             for k, (_, _, scale) in enumerate(inputs)]
     jacobian, error = (np.stack(parts, axis=-1) for parts in zip(*found))
-    names, outputs = tuple(each.name for each in inputs), tuple(range(jacobian.ndim - 1))
+    names, outputs = tuple(name for name, _, _ in inputs), tuple(range(jacobian.ndim - 1))
     most, largest = error.max(axis=outputs), np.abs(jacobian).max(axis=outputs)
     doubtful = np.flatnonzero(~(most <= _MAX_ERROR * largest) & ~(largest == 0.0))
     if len(doubtful):
@@ -127,42 +118,12 @@ def sensitivities(scene: SceneLike, duration: float,
         warn(f'derivatives by {len(doubtful)} of {len(names)} inputs have an estimated error '
              f'above {_MAX_ERROR:g} of the largest: {most[worst]:.1g} of {largest[worst]:.3g} by '
              f'{names[worst]}')
-    return Sensitivities(names, scene.step * np.array(sampled), seen[:, 0], jacobian, error)
+    t = scene.step * np.arange(steps // count, steps + 1, steps // count)
+    return Sensitivities(names, t, seen[:, 0], jacobian, error)
 
 
-class _Input(NamedTuple):
-    """A number of the scene or of a command as an input."""
-
-    name: str
-    scale: float
-    changed: Callable  # (scene, commands, change) -> scene, commands
-
-
-def _check_commands(commands):
-    check_arguments(commands, 'commands')
-    found = {}
-    for name, values in commands.items():
-        shape = np.shape(ARGUMENTS[name])
-        try:
-            found[name] = np.array(values, dtype=float)
-        except (TypeError, ValueError):
-            found[name] = np.empty(0)
-        if found[name].ndim != 1 + len(shape) or found[name].shape[1:] != shape or not len(
-                found[name]):
-            raise ParameterError(f'commands {name} must be numbers of shape '
-                                 f'{"(k, 2)" if shape else "(k,)"}, got {short(values)}')
-    return found
-
-
-def _ends_of_parts(steps, name, count):
-    # The step at the end of each part.
-    if not steps or steps % count:
-        raise ParameterError(f'the {steps} steps of the run must be a multiple of the number of '
-                             f'{name}, got {count}')
-    return range(steps // count, steps + 1, steps // count)
-
-
-def _inputs_of_scene(scene, parameters):
+def _inputs(scene, parameters):
+    # Name, value and scale of each input.
     given = parameters if isinstance(parameters, Mapping) else dict.fromkeys(parameters)
     for name, size in given.items():
         for each in initial_names(scene) if name == INITIAL else [name]:
@@ -173,47 +134,20 @@ def _inputs_of_scene(scene, parameters):
             if not scale:
                 raise ParameterError(f'{each} is 0: give the size of a change that matters, as '
                                      f'parameters={{{each!r}: size}}')
-            yield _Input(each, scale, lambda scene, commands, change, name=each, value=value: (
-                scene.vary(overrides_of({name: value + change}, scene)), commands))
+            yield each, value, scale
 
 
-def _inputs_of_commands(scene, commanded, duration):
-    body, model = scene.manipulator, scene.build()
-    inertia = (body.shaft_inertia + model.point_inertia.sum()
-               + model.point_mass @ model.points.lever**2)
-    # What would move a rigid arm by its length, or turn it by a radian, within the run.
-    by_force, by_torque = (size / duration**2 for size in (model.mass * body.arm.length, inertia))
-    of_unit = {'N': by_force, 'N m': by_torque, 'V': 1.0}
-    scales = {each.argument: of_unit[each.unit] for each in INPUTS if each.argument}
-    for name, values in commanded.items():
-        for place in np.ndindex(values.shape):
-            yield _Input(
-                name + ''.join(f'[{k}]' for k in place), scales[name],
-                lambda scene, commands, change, name=name, place=place: (
-                    scene, {**commands, name: _add_at(commands[name], place, change)}))
-
-
-def _add_at(values, place, change):
-    values = values.copy()
-    values[place] += change
-    return values
-
-
-def _outputs(runs, output, steps, edges, sampled):
-    # The output of all runs at the samples, (samples, n, ...); NaN for one that has diverged.
-    batch, seen = Batch([scene for scene, _ in runs]), []
-    table = {name: np.array([commanded[name] for _, commanded in runs]) for name in runs[0][1]}
-    for first, last in zip(edges, edges[1:]):
-        commands = {name: values[:, first * values.shape[1] // steps]
-                    for name, values in table.items()}
-        batch.step(duration=(last - first) * batch.scenes[0].step, **commands)
-        if last in sampled:
-            values = np.array(output(batch), dtype=float)
-            if values.shape[:1] != (batch.n,):
-                raise ParameterError(f'the output must be an array of {batch.n} rows, one for '
-                                     f'each run, got one of shape {values.shape}')
-            values[batch.failed] = np.nan
-            seen.append(values)
+def _outputs(batch, output, steps, count):
+    # The output after each `steps` steps, (count, n, ...); NaN of a run that has diverged.
+    seen = []
+    for _ in range(count):
+        batch.advance(steps)
+        values = np.array(output(batch), dtype=float)
+        if values.shape[:1] != (batch.n,):
+            raise ParameterError(f'the output must be an array of {batch.n} rows, one for each '
+                                 f'run, got one of shape {values.shape}')
+        values[batch.failed] = np.nan
+        seen.append(values)
     if batch.failed[0]:
         raise DivergenceError(batch.reason(0))
     return np.array(seen)

@@ -15,10 +15,10 @@ import numpy as np
 from timo_sim.runs.run import Run, run_scene
 from timo_sim.scene.parameters import (
     checked, FLAG, FUNCTION, Parameter, ParameterError, PARAMETERS, steps_in, warn)
-from timo_sim.scene.scene import load_scene, needed_static, Scene, scene_from, SceneLike
-from timo_sim.simulation.finer import choose_parts, refine, tip_distances
-from timo_sim.simulation.warnings import (
-    DivergenceError, inaccurate, more_axial, MOST_APART, NO_FINER_RUN, unseen_load)
+from timo_sim.scene.scene import load_scene, Scene, scene_from, SceneLike
+from timo_sim.simulation.finer import measure, Motions, refine
+from timo_sim.simulation.simulator import Simulator
+from timo_sim.simulation.warnings import DivergenceError, unseen_load
 
 SIZES = (3, 5, 8, 12)  # numbers of modes to choose from
 STEPS = (0.02, 0.01, 0.005, 0.002, 0.001, 0.0005, 0.0002, 0.0001)  # to choose from [s]
@@ -38,80 +38,19 @@ def measure_error(run: Run, find_remedy: bool = True) -> Run:
     """
     Return a run of `run_scene` with its measured error, and the warning that this calls for.
 
-    If a finer run diverges or is far off, others with shorter steps are tried.
-    `estimated_tip_error_m` and `estimated_deflection_error_m` are in its `stats` unless the scene
-    has no finer run or all diverge.
-    With `find_remedy` the warning of a large error names what moves the tip most, by up to three
-    more runs, otherwise all remedies.
+    `estimated_tip_error_m` and `estimated_deflection_error_m` are in its `stats`, see
+    `simulation.finer.measure`, which has `find_remedy`, too.
     """
-    scene = run.scene
     if len(run.t) < 2:
         return run
     # Tips of a long run are compared at some of its samples, each of which takes a quarter step.
     samples = len(run.t) - 1
     seen = _thin(run, max(k for k in range(1, 1 + max(1, samples // _ENOUGH_COMPARED))
                           if samples % k == 0))
-    finer = (_run_alike(refine(scene, parts), seen) for parts in choose_parts(scene))
-    fine = next((each for each in finer if each is not None), None)
-    if fine is None:
-        return replace(run, warning=run.warning or NO_FINER_RUN)
-    errors, limit = _distances(seen, fine), MOST_APART * scene.manipulator.arm.length
-    while errors[0] > limit and (shorter := next(finer, None)):
-        # If shorter steps of the finer run mend most of the distance, it was not that of the run.
-        distances = _distances(seen, shorter)
-        if distances[0] > 0.5 * errors[0]:
-            break
-        fine, errors = shorter, distances
-    # The finer run has seen a load that is too fast for the steps of the run. What `newton` leaves
-    # out may make a motion unstable that both runs do not leave.
-    earlier = (unseen_load(fine.scene) if scene.values['model.formulation'] == 'exact'
-               else run.warning)
-    remedy = (_remedy(seen, round(scene.step / fine.scene.step), errors)
-              if find_remedy and max(errors) > limit else None)
+    errors, warning = measure(Motions(run.scene, seen.values, run.stats['steps']), run.warning,
+                              find_remedy)
     return replace(run, stats={**run.stats, 'estimated_tip_error_m': errors[0],
-                               'estimated_deflection_error_m': errors[1]},
-                   warning=earlier or inaccurate(scene, errors[0], errors[1], remedy))
-
-
-def _run_alike(scene, run):
-    """Return the run of a finer scene with samples at the times of `run`; None if it diverges."""
-    steps = round(run.scene.step / scene.step) * run.stats['steps']
-    try:
-        return run_scene(scene, steps, steps // (len(run.t) - 1))
-    except DivergenceError:
-        return None
-
-
-def _distances(run, other):
-    return tip_distances(run.model, run.values, other.model, other.values)
-
-
-def _remedy(run, parts, errors):
-    """
-    Return a change of the scene that mends most of its error, or of that of its deflection.
-
-    Of steps, modes and equations, it is the first one that moves the tip by half of the error,
-    else the one that moves it most; it is '' if none moves it by a tenth. Axial modes move it,
-    too, if the steps do not resolve them: they are last.
-    """
-    changes = {'a smaller integrator.step': (parts, 0, 0, True),
-               'more model.modes': (1, None, 0, True)}
-    if not {*needed_static(run.scene)} <= {*run.scene.static}:
-        changes = {'model.static_modes auto': (1, 0, 0, False), **changes}
-    exact, stretches = (run.scene.values['model.formulation'] == 'exact',
-                        run.scene.manipulator.arm.stretches)
-    if exact and stretches:
-        changes[more_axial(run.scene)] = 1, 0, 1, True
-    elif not exact:
-        changes['model.formulation exact'] = 1, 0, 0, False
-    moved, place = {}, errors[0] <= MOST_APART * run.scene.manipulator.arm.length
-    for text, change in changes.items():
-        other = _run_alike(refine(run.scene, *change), run)
-        moved[text] = 0.0 if other is None else _distances(run, other)[place]
-        if moved[text] > 0.5 * errors[place]:
-            return text
-    most = max(moved, key=lambda text: moved[text])
-    return most if moved[most] > 0.1 * errors[place] else ''
+                               'estimated_deflection_error_m': errors[1]}, warning=warning)
 
 
 class Resolution(NamedTuple):
@@ -181,24 +120,24 @@ def choose_resolution(scene: SceneLike, duration: float = 0.0,
     for modes in SIZES:
         while steps:
             run = _run_trial(scene, modes, steps[0], duration or HORIZON)
-            fine = run and _run_alike(refine(run.scene, 2, axial=0, same_equations=True), run)
+            fine = run and run.alike(refine(run.scene, 2, axial=0, same_equations=True))
             if fine is None:
                 steps.pop(0)
                 continue
-            moved = tip_distances(fine.model, fine.values, fine.model, fine.values[:1])
+            moved = fine.distances(fine._replace(values=fine.values[:1]))
             if max(moved) < _STILL * scene.manipulator.arm.length:
                 raise ParameterError(f'{stated} needs a scene that moves by its own loads or '
                                      'initial motion')
-            difference = max(_distances(run, fine))
+            difference = max(run.distances(fine))
             # Modes may converge as slowly as 1/N^2; the finer run has a part of the error.
             estimate = difference / (1.0 - (modes / fine.scene.values['model.modes'])**2)
             if MARGIN * estimate <= goal:
-                looked_at = (len(run.t) - 1) * GRID
+                looked_at = run.steps * run.scene.step
                 return Resolution(run.scene, estimate, looked_at,
                                   looked_at * goal / estimate if estimate else np.inf,
                                   _stretch_warning(fine, goal))
-            halves = _run_alike(refine(run.scene, 2, 0, 0, same_equations=True), run)
-            by_steps = halves is None or 2.0 * max(_distances(run, halves)) > difference
+            halves = run.alike(refine(run.scene, 2, 0, 0, same_equations=True))
+            by_steps = halves is None or 2.0 * max(run.distances(halves)) > difference
             best = min(best, (estimate, f'N = {modes} and h = {1e3 * steps[0]:g} ms: the '
                                         f'{"steps" if by_steps else "modes"} limit it'))
             if not by_steps:
@@ -213,13 +152,16 @@ def choose_resolution(scene: SceneLike, duration: float = 0.0,
 
 
 def _run_trial(scene, modes, step, duration):
-    """Return a run with samples GRID apart; None if the step does not suit the loads."""
+    """Return Motions that are GRID apart; None if the step does not suit the loads."""
     samples = min(max(1, round(duration / GRID)), int(MAX_STEPS * step / GRID))
     every = round(GRID / step)
     try:
         scene = scene_from({**scene.values, 'model.accuracy': 0.0, 'model.modes': modes,
                             'integrator.step': step})
-        return None if unseen_load(scene) else run_scene(scene, samples * every, every)
+        if unseen_load(scene):
+            return None
+        motions = Simulator(scene).advance(samples * every, sample_every=every)[0]
+        return Motions(scene, motions, samples * every)
     except (ParameterError, DivergenceError):  # such as a load that jumps inside of a step
         return None
 
@@ -229,12 +171,13 @@ def _stretch_warning(run, goal):
             or not run.scene.manipulator.arm.stretches):
         return None
     # An arm that stretches may need shorter steps than one that does not.
-    stretched = (_run_alike(refine(run.scene, parts, 0, 1, True), run) for parts in (1, 4))
-    off = next((max(_distances(run, each)) for each in stretched if each is not None), 0.0)
+    stretched = (run.alike(refine(run.scene, parts, 0, 1, True)) for parts in (1, 4))
+    off = next((max(run.distances(each)) for each in stretched if each is not None), 0.0)
     if off <= goal:
         return None
-    return (f'the tip is {off:.1e} m from that of an arm that stretches by t = {run.t[-1]:g} s, '
-            'more than the stated model.accuracy: take model.axial_modes 1')
+    end = run.steps * run.scene.step
+    return (f'the tip is {off:.1e} m from that of an arm that stretches by t = {end:g} s, more '
+            'than the stated model.accuracy: take model.axial_modes 1')
 
 
 def resolve(scene: Scene, duration: float, tell: Callable[[str], object] | None = None,

@@ -184,8 +184,9 @@ def jobs_of(scene: Scene, duration: float, count: int, variations: Iterable[Mapp
         length = WIDTH * math.ceil(length / WIDTH)
     remaining = iter(variations)
     for first in range(0, count, length):
-        yield Job(first, scene, duration, tuple(itertools.islice(remaining, length)),
-                  tuple(names), in_lanes)
+        yield Job(first=first, scene=scene, duration=duration,
+                  variations=tuple(itertools.islice(remaining, length)), names=tuple(names),
+                  in_lanes=in_lanes)
 
 
 def run_job(job: Job) -> dict[str, np.ndarray]:
@@ -274,8 +275,9 @@ def _summary(run):
 
 
 def lane_kind(scene: Scene, steps: int) -> tuple[Any, ...] | None:
-    """Return what a run and those in lanes beside it have in common; None: it cannot be a lane."""
-    if scene.values['model.formulation'] != 'exact' or not scene.modal_count or refusal(scene):
+    """Return the key by which runs are grouped into lanes; None if a run must be done alone."""
+    if (scene.values['model.formulation'] != 'exact' or not scene.modal_count or refusal(scene)
+            or scene.build().sectors):  # which make lanes slower than single runs
         return None
     return steps, *lane_size(scene).values()
 
@@ -445,8 +447,9 @@ def _plan(content, folder):
     duration = _DURATION.check(content.get('duration'))
     steps_in(duration, scene.step)
     identity = __version__, scene.values, duration, kind, content[kind]
-    return Plan(scene, duration, hashlib.sha256(repr(identity).encode()).hexdigest(),
-                *kinds[kind](content[kind]))
+    names, count, variations = kinds[kind](content[kind])
+    return Plan(scene=scene, duration=duration, names=names, count=count, variations=variations,
+                fingerprint=hashlib.sha256(repr(identity).encode()).hexdigest())
 
 
 # For each kind of sweep: names of the parameters that vary, count of runs, and variations.

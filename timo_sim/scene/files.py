@@ -5,6 +5,7 @@
 
 from collections.abc import Iterator, Mapping
 from contextlib import contextmanager, suppress
+import errno
 import os
 from pathlib import Path
 import re
@@ -52,6 +53,17 @@ def whole_file(path: Path | str, new: bool = False) -> Iterator[Path]:
         if new and path.exists():
             raise FileExistsError(f'{path} exists: remove it or choose another name')
         part.replace(path)
+
+
+def check_target(path: Path) -> None:
+    """Raise OSError if a file cannot be written: `path` is none, or in what is no folder."""
+    if path.is_dir():
+        raise IsADirectoryError(errno.EISDIR, os.strerror(errno.EISDIR), str(path))
+    if path.exists() and not path.is_file():
+        raise OSError(f'{path} must be a regular file or none yet, not a device or FIFO')
+    parent = next(each for each in path.absolute().parents if each.exists())
+    if not parent.is_dir():
+        raise NotADirectoryError(errno.ENOTDIR, os.strerror(errno.ENOTDIR), str(parent))
 
 
 def is_of_rclpy(name: str) -> bool:

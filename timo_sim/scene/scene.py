@@ -308,7 +308,7 @@ class Scene:
         values, rest = self.values, np.zeros(self.modal_count)
         position, velocity = ([values[name] for name in names] for names in (_POSITION, _VELOCITY))
         if self.load.drive is not None:
-            # At the end of the step before: what a step with a kink inside sees is not the load.
+            # The drive at the end of step -1: the stages of a step with a kink see it smoothed.
             position[2], velocity[2] = self.load.stages(-1, 1, self.step)[
                 0, AFTER, [ANGLE, SPEED]]
         q, qdot = map(self.modal, _MODAL)
@@ -422,7 +422,8 @@ def scene_from(values: Mapping[str, Any], static: tuple[str, ...] | None = None,
         whole_ratio(name, values[name], 'integrator.step', step)
     load = Load({channel: _terms_of(channel, tuple([values[name] for name in names]), step)
                  for channel, names in _TERM_NAMES.items()}, _drive(values))
-    scene = Scene(body, constraints_of(values), load, step, values, static, keeps_axial)
+    scene = Scene(manipulator=body, constraints=constraints_of(values), load=load, step=step,
+                  values=values, static=static, keeps_axial=keeps_axial)
     check_finite(scene)
     check_slope(scene)
     return scene
@@ -524,22 +525,25 @@ def manipulator_of(values: Mapping[str, Any]) -> Manipulator:
     """Return the Manipulator that the values describe."""
     elastic, turns = values['motor.gear.stiffness'], values['motor.dc.gear_ratio']
     return Manipulator(
-        _arm(values), values['carrier.mass'], values['motor.mass'], values['motor.shaft_inertia'],
-        values['end_effector.mass'], values['end_effector.inertia'],
-        values['carrier.viscous_friction'],
-        values['motor.viscous_friction'] + (0.0 if elastic else motor_constants(values)[1]),
-        # Coulomb friction without a speed is dry: joints stick, and the bodies do not know it.
-        tuple((ratio * values[f'{body}.coulomb_friction'] * (
+        arm=_arm(values), carrier_mass=values['carrier.mass'], motor_mass=values['motor.mass'],
+        shaft_inertia=values['motor.shaft_inertia'],
+        end_effector_mass=values['end_effector.mass'],
+        end_effector_inertia=values['end_effector.inertia'],
+        carrier_friction=values['carrier.viscous_friction'],
+        shaft_friction=values['motor.viscous_friction'] + (
+            0.0 if elastic else motor_constants(values)[1]),
+        # Friction without coulomb_speed is that of steps.friction, and not of the Manipulator.
+        coulomb=tuple((ratio * values[f'{body}.coulomb_friction'] * (
             1.0 - values[f'{body}.coulomb_rest'] * (values[f'{body}.coulomb_presliding'] > 0.0)),
                speed / ratio, values.get(f'{body}.coulomb_asymmetry', 0.0))
               if speed else (0.0, 1.0, 0.0)
               for body, ratio in (('carrier', 1.0), ('motor', 1.0), ('motor.rotor', turns))
               for speed in [values[f'{body}.coulomb_speed']]),
-        values['hub.radius'], Gear(
+        hub_radius=values['hub.radius'], gear=Gear(
             elastic, values['motor.gear.damping'], values['motor.gear.backlash'],
             turns**2 * values['motor.rotor.inertia'],
             turns**2 * values['motor.rotor.viscous_friction'] + motor_constants(values)[1])
-        if elastic else None, _motor_limit(values))
+        if elastic else None, motor_limit=_motor_limit(values))
 
 
 def _motor_limit(values):
@@ -837,7 +841,7 @@ def physical(values: Mapping[str, Any]) -> Iterator[None]:
         raise ParameterError(
             'the values of this scene are too large or too small together: its equations of '
             'motion or its initial energy are not finite') from None
-    except ParameterError:
+    except ParameterError:  # a ValueError that says already what to do
         raise
     except ValueError as error:
         # Only the physics finds some errors, such as modes too close to each other.
@@ -919,7 +923,7 @@ def number_of(name: str, scene: Scene, others: str = '',
     """
     Return the Parameter of a name, and its value in a scene, or raise ParameterError.
 
-    `others` says for an error what else the caller knows, and `names` names it.
+    The text of the error ends with `others`: what besides parameters would be valid, `names`.
     """
     base, place = _split_index(name)
     parameter = PARAMETERS.get(base)
@@ -966,7 +970,11 @@ def initial_names(scene: Scene) -> list[str]:
 
 
 def initial_scale(name: str, scene: Scene) -> float:
-    """Return what of the initial state moves the tip by a tenth of the arm, or turns it by 0.1."""
+    """
+    Return a change of one number of the initial state.
+
+    It moves the tip by a tenth of the arm's length, or turns it by 0.1 rad.
+    """
     base, n = _split_index(name)
     model, length = scene.build(), scene.manipulator.arm.length
     if base.startswith('initial.modal'):  # a gear turns the shaft, and no section of the arm

@@ -7,6 +7,7 @@ from __future__ import annotations
 
 from collections.abc import Iterable, Sequence
 from dataclasses import replace
+import math
 from typing import Any
 
 import numpy as np
@@ -18,9 +19,11 @@ from timo_sim.scene.loads import CHANNELS, Load
 from timo_sim.scene.parameters import numbers, Parameter, ParameterError, steps_in
 from timo_sim.scene.scene import (
     load_scene, motor_constants, Scene, scene_from, SceneLike)
-from timo_sim.simulation.loads import Actuators, commanded_load, limits_of, whole_load
+from timo_sim.simulation.loads import (
+    Actuators, commanded_load, limits_of, tip_of, TipLoad, whole_load)
 from timo_sim.simulation.simulator import COUNT, MOST_BENT, SAMPLE_EVERY, Stateful
 from timo_sim.simulation.warnings import divergence, unseen_load
+from timo_sim.steps.bristles import HEAT, MEMORY
 from timo_sim.steps.lanes import from_lanes, LaneSteps, to_lanes
 from timo_sim.steps.steps import CHUNK, NO_LOADS
 
@@ -121,9 +124,10 @@ class Batch(Stateful):
     They are as many runs of `Simulator`, several times faster: the numbers of eight manipulators
     are one vector of the processor, see `compiled.lanes`. Formulation, numbers of modes,
     constraints and time step are the same for all; masses, stiffness, damping, limits, loads and
-    initial state may differ. All have the static shapes that any of them needs. What one
-    manipulator does depends on these, its own scene and its commands alone, to the last bit; a
-    `Simulator` does the same to about 1e-11. There is no estimate of the
+    initial state may differ. With one axis of the carrier held and a shaft that turns a step takes
+    several times as long, as it does in a `Simulator`. All have the static shapes that any of them
+    needs. What one manipulator does depends on these, its own scene and its commands alone, to the
+    last bit; a `Simulator` does the same to about 1e-11. There is no estimate of the
     error: try some of the scenes with `simulate`, which has one.
 
     Parameters
@@ -143,7 +147,7 @@ class Batch(Stateful):
     Raises
     ------
     ParameterError
-        If the scenes differ in size, or have what a batch cannot do: dry friction, a carrier
+        If the scenes differ in size, or have what a batch cannot do: sticking friction, a carrier
         that is held along one axis beside a free or driven shaft, `model.accuracy`, payloads that
         change.
 
@@ -176,7 +180,12 @@ class Batch(Stateful):
         self._needed = {each.needs: np.array([scene.values[each.needs] for scene in self.scenes])
                         for each in INPUTS if each.needs}
         self._loads = LaneLoads(self.scenes)
-        self._lanes = LaneSteps(self._models, self.scenes[0].step, MOST_BENT)
+        # Of manipulators whose load at the tip changes.
+        self._tips = {k: TipLoad(tip_of(scene)) for k, scene in enumerate(self.scenes)
+                      if scene.payloads}
+        self._lanes = LaneSteps(self._models, self.scenes[0].step, MOST_BENT,
+                                np.array([scene.bristles for scene in self.scenes]),
+                                alike=not self._tips)
         self.steps, self._origin = 0, np.zeros(self.n, dtype=int)
         self.reset()
 
@@ -211,6 +220,11 @@ class Batch(Stateful):
         """Return rotations of the tips relative to the shaft, shape (n,) [rad]."""
         return from_lanes(self._lanes.tip, self.n)[:, 2]
 
+    @property
+    def friction_heat(self) -> np.ndarray:
+        """Energy that dry friction has taken, as in `Run.friction_heat`, shape (n,) [J]."""
+        return from_lanes(self._lanes.memory, self.n)[:, HEAT]
+
     def reason(self, number: int) -> str:
         """Return why a manipulator has failed, as the text of a DivergenceError, or ''."""
         number = Parameter('number', 0, '', '', low=0, high=self.n - 1).check(number)
@@ -234,8 +248,13 @@ class Batch(Stateful):
         motions = self._initial if motion is None else numbers(
             'motion', motion, self._initial.shape, self._initial.shape[1:])
         motions, lanes = np.broadcast_to(motions, self._initial.shape), self._lanes
+        for number in self._tips:
+            if chosen[number]:
+                self._tips[number] = TipLoad(tip_of(self.scenes[number]))
+                self._set_model(number, self.scenes[number].build())
         states = self._at_start if motion is None else self._states_of(motions, chosen)
         for field, new in ((lanes.state, states), (lanes.motion, motions),
+                           (lanes.memory, np.zeros((self.n, MEMORY))),
                            (lanes.progress, np.array([[1.0, 0.0]] * self.n))):
             rows = from_lanes(field, self.n)
             rows[chosen] = new[chosen]
@@ -301,15 +320,44 @@ class Batch(Stateful):
                              lanes.motion.shape[1])
         most = max(1, min(CHUNK, _MAX_NUMBERS // (4 * self.n * max(1, len(loads.columns)))))
         tips = [lanes.room(0, 3)]
-        for first in range(0, count, most):
-            part = min(most, count - first)
-            varying = loads.varying(self.steps + first, part, self._origin)
+        first = 0
+        while first < count:
+            now, before = self.steps + first, self._tips and lanes.motion.copy()
+            part = min(most, count - first, self._change_tips(now) - now)
+            varying = loads.varying(now, part, self._origin)
             at_starts = lanes.room(part if with_tips else 0, 3)
             lanes.advance(loads.columns, varying, sample_every, first, samples, at_starts)
+            if self._tips and sample_every and first % sample_every == 0:
+                samples[:, first // sample_every] = before  # a sample is from before a change
             if with_tips:
                 tips += [at_starts[:, 1:], lanes.tip[:, np.newaxis].copy()]
+            first += part
         self.steps += count
         return samples, tips
+
+    def _change_tips(self, now):
+        # Make the changes of loads at tips that are due; return the step of the next one.
+        lanes, following = self._lanes, math.inf
+        for number, tip in self._tips.items():
+            scene, place = self.scenes[number], (number // WIDTH, slice(None), number % WIDTH)
+            while (tip.changes < len(scene.payloads) and self._origin[number]
+                   + scene.payloads[tip.changes][0] <= now and not self.failed[number]):
+                _, *load = scene.payloads[tip.changes]
+                model = scene.build(scene.manipulator, (load[0], load[1]))
+                tip, motion = tip.replaced((load[0], load[1]), scene, model, lanes.motion[place])
+                tip = tip._replace(changes=tip.changes + 1)
+                self._set_model(number, model)
+                lanes.state[place], lanes.motion[place] = model.state(motion), motion
+            self._tips[number] = tip
+            if tip.changes < len(scene.payloads):
+                due = self._origin[number] + scene.payloads[tip.changes][0]
+                following = min(following, due if due > now else math.inf)
+        return following
+
+    def _set_model(self, number, model):
+        if self._models[number] is not model:
+            self._models[number] = model
+            self._lanes.change_model(number, model)
 
 
 def _with_equal_shapes(scenes):
@@ -353,13 +401,8 @@ def lane_size(scene: Scene) -> dict[str, Any]:
 def refusal(scene: Scene) -> str:
     """Return the first parameter that lanes do not know, as text, or ''."""
     values = scene.values
-    if scene.build().sectors:
-        return ' with '.join(f'{name} = {values[name]}' for name in (
-            'carrier.held', 'motor.shaft'))
-    if scene.has_dry_friction:
-        return 'Coulomb friction ' + ('without a coulomb_speed' if scene.friction.any() else
-                                      'with a coulomb_presliding')
-    for name in ('model.accuracy', 'payload.time'):
-        if values[name]:
-            return f'{name} = {values[name]}'
+    if scene.friction.any():
+        return 'Coulomb friction without a coulomb_speed or coulomb_presliding'
+    if values['model.accuracy']:
+        return f'model.accuracy = {values["model.accuracy"]}'
     return ''

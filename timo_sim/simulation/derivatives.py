@@ -30,8 +30,8 @@ class StepDerivatives(NamedTuple):
 
 def why_not_differentiable(scene: Scene) -> str:
     """Return why the steps of a scene have no derivatives; '' if they have."""
-    return ('derivatives of steps need friction that builds up over a speed alone: there is none '
-            'while dry friction sticks') if scene.has_dry_friction else ''
+    return ('derivatives of steps need friction that builds up over a speed or a presliding: '
+            'there is none while dry friction sticks') if scene.friction.any() else ''
 
 
 def unit_loads(values: Mapping[str, Any], inputs: Iterable[str]) -> np.ndarray:

@@ -2,7 +2,7 @@
 # SPDX-License-Identifier: Apache-2.0
 
 """
-Finer runs of a scene, from whose tip the error of a run is measured.
+Finer runs of a scene, from whose tip the error of a run is measured, and Simulators with one.
 
 A finer run has two more modes in bending and more axial modes, `exact` equations, and a step
 of half the length, or less where it must resolve more. The distance between the tips of both runs
@@ -13,26 +13,36 @@ forces, and a critically damped axial mode follows them in steps of any length: 
 frequency Omega its stretch is wrong by 2 Omega / omega of itself, a few per cent.
 """
 
+from collections.abc import Callable
 from dataclasses import replace
 from functools import partial
+from itertools import groupby
 import math
-from typing import Any
+from typing import Any, NamedTuple
 
 import numpy as np
 
+from timo_sim.compiled.machine import telling
 from timo_sim.model.formulation import Formulation
 from timo_sim.model.layout import rotate
 from timo_sim.model.modes import axial_modes
 from timo_sim.scene.loads import on_boundaries
-from timo_sim.scene.scene import AXIAL_PHASE, MORE_MODES, needed_static, Scene, scene_from
-from timo_sim.simulation.warnings import unseen_load
+from timo_sim.scene.parameters import checked, FLAG, FUNCTION, ParameterError, WHOLE
+from timo_sim.scene.scene import (
+    AXIAL_PHASE, load_scene, MORE_MODES, needed_static, Scene, scene_from, SceneLike)
+from timo_sim.simulation.simulator import Simulator
+from timo_sim.simulation.warnings import (
+    DivergenceError, inaccurate, more_axial, MOST_APART, NO_FINER_RUN, unseen_load)
 
 _STRETCHES = 3  # they answer centrifugal forces, an acceleration, a force on the tip
 PARTS = 2, 8, 32  # of a step, from which those of the finer run are chosen
-# A load that is picked up excites modes without end: there the error falls as 1/N.
+# A pick-up excites all modes, and the error falls only as 1/N: there are more of them.
 _MODES_OF_IMPACT, _MOST_MODES = 4, 40 + MORE_MODES
 _MODES_OF_PUSH = 2  # a force within the arm makes a kink, whose error falls slowly, too
 _LISTS = 'initial.modal_coordinates', 'initial.modal_rates'
+_MAX_PENDING_CALLS = 256  # most calls of `advance` that a finer run may be behind
+# A finer run advances by at least so many steps at a time: the call itself costs as much.
+STEPS_BEHIND = 8
 
 
 def refine(scene: Scene, parts: int, modes: int | None = None, axial: int | None = None,
@@ -143,3 +153,213 @@ def tip_distances(model: Formulation, motions: np.ndarray, other: Formulation,
               for each, tip in zip((motions, others), tips)]
     world, arm = (float(np.hypot(*(a - b)).max(initial=0.0)) for a, b in (places, tips))
     return world, arm
+
+
+class Motions(NamedTuple):
+    """Motions of a scene at equal distances in time, (1 + n, 2 (3 + N)), and its steps."""
+
+    scene: Scene
+    values: np.ndarray
+    steps: int
+
+    def alike(self, scene: Scene) -> 'Motions | None':
+        """Return those of another scene at the same times; None if its run diverges."""
+        steps = round(self.scene.step / scene.step) * self.steps
+        try:
+            return Motions(scene, Simulator(scene).advance(
+                steps, sample_every=steps // (len(self.values) - 1))[0], steps)
+        except DivergenceError:
+            return None
+
+    def distances(self, other: 'Motions') -> tuple[float, float]:
+        """Return the largest distances between the tips of both, see `tip_distances`."""
+        return tip_distances(self.scene.build(), self.values, other.scene.build(), other.values)
+
+
+def measure(run: Motions, warning: str | None,
+            find_remedy: bool = True) -> tuple[tuple[float, float], str | None]:
+    """
+    Return the errors of the tip's place and deflection in a run, and the warning it calls for.
+
+    If a finer run diverges or is far off, others with shorter steps are tried; errors are NaN if
+    all diverge. `warning` is that of the run so far. With `find_remedy` the warning of a large
+    error names what moves the tip most, by up to three more runs, otherwise all remedies.
+    """
+    scene = run.scene
+    finer = (run.alike(refine(scene, parts)) for parts in choose_parts(scene))
+    fine = next((each for each in finer if each is not None), None)
+    if fine is None:
+        return (math.nan, math.nan), warning or NO_FINER_RUN
+    errors, limit = run.distances(fine), MOST_APART * scene.manipulator.arm.length
+    while errors[0] > limit and (shorter := next(finer, None)):
+        # If shorter steps of the finer run mend most of the distance, it was not that of the run.
+        distances = run.distances(shorter)
+        if distances[0] > 0.5 * errors[0]:
+            break
+        fine, errors = shorter, distances
+    # In `exact` the finer run shows already what loads that are too fast for the steps do: its own
+    # warning counts. In `newton` both runs may stay on a motion that is unstable in truth.
+    earlier = (unseen_load(fine.scene) if scene.values['model.formulation'] == 'exact'
+               else warning)
+    remedy = (_remedy(run, round(scene.step / fine.scene.step), errors)
+              if find_remedy and max(errors) > limit else None)
+    return errors, earlier or inaccurate(scene, errors[0], errors[1], remedy)
+
+
+def _remedy(run, parts, errors):
+    """
+    Return a change of the scene that mends most of its error, or of that of its deflection.
+
+    Of steps, modes and equations, it is the first one that moves the tip by half of the error,
+    else the one that moves it most; it is '' if none moves it by a tenth. Axial modes move it,
+    too, if the steps do not resolve them: they are last.
+    """
+    scene = run.scene
+    changes = {'a smaller integrator.step': (parts, 0, 0, True),
+               'more model.modes': (1, None, 0, True)}
+    if not {*needed_static(scene)} <= {*scene.static}:
+        changes = {'model.static_modes auto': (1, 0, 0, False), **changes}
+    exact, stretches = (scene.values['model.formulation'] == 'exact',
+                        scene.manipulator.arm.stretches)
+    if exact and stretches:
+        changes[more_axial(scene)] = 1, 0, 1, True
+    elif not exact:
+        changes['model.formulation exact'] = 1, 0, 0, False
+    moved, place = {}, errors[0] <= MOST_APART * scene.manipulator.arm.length
+    for text, change in changes.items():
+        other = run.alike(refine(scene, *change))
+        moved[text] = 0.0 if other is None else run.distances(other)[place]
+        if moved[text] > 0.5 * errors[place]:
+            return text
+    most = max(moved, key=lambda text: moved[text])
+    return most if moved[most] > 0.1 * errors[place] else ''
+
+
+class _Call(NamedTuple):
+    # A call of `advance` that the finer run has yet to follow.
+    steps: int
+    commanded: np.ndarray | None
+    every: int
+    motions: np.ndarray
+
+    def kind(self) -> tuple:
+        # Calls of an equal kind can be done as one; one that does not end with a sample cannot be
+        # joined.
+        return self.every, self.steps % self.every and id(self), (
+            None if self.commanded is None else self.commanded.tobytes())
+
+
+class EstimatingSimulator(Simulator):
+    """
+    A Simulator that advances a finer run beside its own, to estimate its error.
+
+    doc/scene.md says what that costs. `set_motion` is refused: the error would be that of another
+    run.
+
+    Attributes
+    ----------
+    finer : Simulator
+        The finer run, which may be behind.
+
+    """
+
+    def __init__(self, scene: SceneLike) -> None:
+        scene = load_scene(scene)
+        self._parts = choose_parts(scene)[0]
+        self.finer = Simulator(refine(scene, self._parts))
+        super().__init__(scene)
+
+    def reset(self) -> None:
+        """As that of Simulator; the error begins anew."""
+        with self._lock:
+            super().reset()
+            self.finer.reset()
+            self._behind: list[_Call] = []
+            self._errors, self._is_known = (0.0, 0.0), True
+            # The finer run has its own equilibrium: the runs differ already at the start.
+            self._compare(self.motion.values[np.newaxis], self.finer.motion.values[np.newaxis])
+
+    def change(self, scene: SceneLike) -> None:
+        """As that of Simulator."""
+        scene = load_scene(scene)
+        with self._lock:
+            self.measure_error()
+            super().change(scene)
+            self.finer.change(refine(scene, self._parts))
+
+    @checked(tell=FUNCTION, messages=FLAG)
+    def warm_up(self, tell: Callable[[str], object] | None = None, messages: bool = False) -> None:
+        """As that of Simulator."""
+        super().warm_up(tell, messages)
+        self.finer.warm_up(tell)
+        with telling(tell):
+            for each in self, self.finer:
+                each.model.tip(each.motion.values)
+
+    def set_motion(self, motion: Any) -> None:
+        """Raise ParameterError."""
+        raise ParameterError('set_motion needs a Simulator that does not estimate its error')
+
+    @property
+    def estimated_error(self) -> float:
+        """Estimated error of the tip so far [m]; NaN if it is not known."""
+        with self._lock:
+            self.measure_error()
+            return self._errors[0]
+
+    @property
+    def estimated_deflection_error(self) -> float:
+        """The same of its deflection [m], which has the error of the shaft's angle, too."""
+        with self._lock:
+            self.measure_error()
+            return self._errors[1]
+
+    @checked(steps=WHOLE)
+    def measure_error(self, steps: int = 0) -> bool:
+        """
+        Advance the finer run, and measure how far apart the tips of both runs are.
+
+        It is advanced by at least `steps` steps, if it is that far behind; with 0 to the present.
+        Return whether it was advanced.
+        """
+        with self._lock:
+            number, found = 0, 0
+            while number < len(self._behind) and not 0 < steps <= found:
+                found, number = found + self._behind[number].steps, number + 1
+            if found < steps or not number:
+                return False
+            calls, self._behind = self._behind[:number], self._behind[number:]
+            if self._is_known:
+                self._measure(calls)
+            return True
+
+    def _measure(self, calls):
+        try:
+            # Calls that differ in nothing but their number are one for the finer run.
+            others = [self.finer.advance(
+                self._parts * sum(call.steps for call in alike), alike[0].commanded,
+                self._parts * alike[0].every)[0][1:]
+                for alike in (list(group) for _, group in groupby(calls, _Call.kind))]
+        except DivergenceError:
+            self._errors, self._is_known = (math.nan, math.nan), False
+            self.warning = self.warning or NO_FINER_RUN
+            return
+        self._compare(np.vstack([call.motions for call in calls]), np.vstack(others))
+
+    def _compare(self, motions, others):
+        place, bend = tip_distances(self.model, motions, self.finer.model, others)
+        self._errors = max(self._errors[0], place), max(self._errors[1], bend)
+        self.warning = self.warning or inaccurate(self.scene, *self._errors)
+
+    def _note(self, count, commanded, samples):
+        super()._note(count, commanded, samples)
+        if count and self._is_known:
+            self._behind.append(_Call(
+                count, None if commanded is None else commanded.copy(), samples.every or count,
+                samples.motions[1:].copy() if samples.every else self.motion.values[np.newaxis]))
+            if len(self._behind) >= _MAX_PENDING_CALLS:
+                self.measure_error()
+
+    def _rest(self, count, samples):
+        super()._rest(count, samples)
+        self.finer.advance(self._parts * count)  # which rests, too

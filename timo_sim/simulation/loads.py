@@ -98,8 +98,8 @@ class Actuators:
     def __init__(self, values: Mapping[str, Any], first: int = 0) -> None:
         limit, rate = np.array(limits_of(values))
         self.packed = pack(steps_loads.Actuators(
-            values['integrator.step'], motor_constants(values)[0], limit, rate, np.zeros(LOADS),
-            np.zeros(LOADS), np.array([first])))
+            step=values['integrator.step'], gain=motor_constants(values)[0], limit=limit,
+            rate=rate, goal=np.zeros(LOADS), origin=np.zeros(LOADS), since=np.array([first])))
         self.slow, self._commanded = np.flatnonzero(np.isfinite(rate)), np.zeros(LOADS)
 
     def warm_up(self) -> None:

@@ -27,8 +27,8 @@ from timo_sim.compiled.entry import EntryPoint
 from timo_sim.compiled.functions import Constants
 from timo_sim.model import exact_code, functions, modes, newton
 from timo_sim.scene.scene import load_scene
-from timo_sim.simulation.simulator import Simulator
-from timo_sim.steps import etdrk4, friction, instance, lanes, loads
+from timo_sim.simulation.finer import EstimatingSimulator
+from timo_sim.steps import bristles, etdrk4, friction, instance, lanes, loads
 
 # A carrier and a shaft that move freely, as in the paper; and an arm on a hub, on a carrier that
 # is held, as in the scene of `timo_sim new`. Each has the size of its finer run, too.
@@ -42,7 +42,8 @@ USUAL: list[dict[str, Any]] = [
 _KINDS: dict[str, list[type]] = {
     'arm': [modes.UniformArm], 'tables': [exact_code.Tables, newton.Tables],
     'flow': [functions.Flow], 'propagator': [*etdrk4.one_step.bodies],
-    'joints': [friction.Joints], 'lane': [lanes.LaneConstants],
+    'bristles': [bristles.Bristles], 'joints': [friction.Joints],
+    'lane': [lanes.LaneConstants],
     'loads': [loads.SceneLoads], 'actuators': [loads.Actuators], 'plant': [instance.Plant],
     'instance': [instance.Instance]}
 
@@ -62,7 +63,7 @@ def entries() -> Iterator[tuple[EntryPoint, tuple[type, ...]]]:
 
 def compile_usual(values: dict[str, Any]) -> None:
     """Compile what runs and nodes with some values of a scene need, and runs that are finer."""
-    Simulator(load_scene(values), estimate=True).warm_up(messages=True)
+    EstimatingSimulator(load_scene(values)).warm_up(messages=True)
 
 
 def build(folder: str, editable: bool) -> None:

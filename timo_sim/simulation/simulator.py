@@ -8,11 +8,10 @@ from __future__ import annotations
 from collections.abc import Callable, Sequence
 from copy import deepcopy
 from dataclasses import replace
-from itertools import groupby
 import math
 import os
 import threading
-from typing import Any, NamedTuple
+from typing import Any
 import weakref
 
 import numpy as np
@@ -23,12 +22,11 @@ from timo_sim.model.formulation import PointsOfArm
 from timo_sim.model.layout import AFTER, LOADS, Motion
 from timo_sim.scene.parameters import (
     check_runtime, checked, FLAG, FUNCTION, numbers, Parameter, ParameterError, steps_in,
-    TEXTS, WHOLE)
+    TEXTS)
 from timo_sim.scene.scene import load_scene, scene_from, SceneLike
 from timo_sim.simulation import warnings
 from timo_sim.simulation.derivatives import (
     StepDerivatives, unit_loads, why_not_differentiable)
-from timo_sim.simulation.finer import choose_parts, refine, tip_distances
 from timo_sim.simulation.loads import (
     Actuators, commanded_load, LoadTable, tip_of, TipLoad, whole_load)
 from timo_sim.simulation.snapshot import Sensors, Snapshot
@@ -41,9 +39,7 @@ from timo_sim.steps.steps import CHUNK, Samples
 MOST_BENT = 10.0
 COUNT = Parameter('count', 1, '', 'number of steps', low=0, high=2**53)
 SAMPLE_EVERY = replace(COUNT, name='sample_every', meaning='steps between samples, 0: none')
-_MOST_BEHIND = 256  # most calls of `advance` that the finer run may be behind
-# Steps for which the finer run is called at once: a call takes as long as some steps.
-STEPS_BEHIND = 8
+_STEPS_A_CHECK = 8  # single steps from one check for warnings to the next
 
 
 _locks: weakref.WeakKeyDictionary = weakref.WeakKeyDictionary()  # the oldest first
@@ -73,19 +69,6 @@ def _after_fork():
 os.register_at_fork(before=_before_fork, after_in_parent=_after_fork, after_in_child=_after_fork)
 
 
-class _Call(NamedTuple):
-    # A call of `advance` that the finer run has yet to follow.
-    steps: int
-    commanded: np.ndarray | None
-    every: int
-    motions: np.ndarray
-
-    def kind(self) -> tuple:
-        # Equal for calls that may be one; a call whose end is not sampled is one by itself.
-        return self.every, self.steps % self.every and id(self), (
-            None if self.commanded is None else self.commanded.tobytes())
-
-
 class Stateful:
     """What has a state: each copy, by `copy` or `pickle`, has its own; threads take turns."""
 
@@ -108,9 +91,6 @@ class Simulator(Stateful, PointsOfArm):
     Parameters
     ----------
     scene : Scene, or what `load_scene` takes
-    estimate : bool
-        Whether a finer run is advanced beside this one, to estimate its error, see
-        `simulation.finer`. doc/scene.md says what it costs.
 
     Attributes
     ----------
@@ -135,14 +115,11 @@ class Simulator(Stateful, PointsOfArm):
 
     """
 
-    @checked(estimate=FLAG)
-    def __init__(self, scene: SceneLike, estimate: bool = False) -> None:
+    def __init__(self, scene: SceneLike) -> None:
         self.steps, scene = 0, load_scene(scene)
         self._first_body, self.tip_load = scene.manipulator, TipLoad(tip_of(scene))
         self._take(scene, scene.build())
         self._ends = self.integration.samples(1, 1)[1:]  # room for the samples of `step`
-        self._estimate = estimate
-        self._finer: Simulator | None = None
         self.reset()
 
     def _take(self, scene, model):
@@ -160,6 +137,16 @@ class Simulator(Stateful, PointsOfArm):
     def t(self) -> float:
         """Sim time [s]."""
         return self.steps * self.scene.step
+
+    @property
+    def estimated_error(self) -> float:
+        """NaN: an `EstimatingSimulator` estimates the error of the tip [m]."""
+        return math.nan
+
+    @property
+    def estimated_deflection_error(self) -> float:
+        """NaN, as well."""
+        return math.nan
 
     @property
     def nanoseconds(self) -> int:
@@ -192,8 +179,9 @@ class Simulator(Stateful, PointsOfArm):
             raise ParameterError(f'state must be an array of shape {self._state.shape}, got one '
                                  f'of {np.shape(state)}')
         acts = self._state if state is None else state, self.integration.acting(self.load)
-        return Snapshot(self.scene, self.model, self.steps, self.nanoseconds, self.motion.values,
-                        self._load.tolist(), acts)
+        return Snapshot(scene=self.scene, model=self.model, step=self.steps,
+                        nanoseconds=self.nanoseconds, motion=self.motion.values,
+                        load=self._load.tolist(), acts=acts)
 
     def reset(self) -> None:
         """Return to the initial motion and the start of the loads; the count of steps goes on."""
@@ -211,15 +199,6 @@ class Simulator(Stateful, PointsOfArm):
             self._table = LoadTable(self.scene, Actuators(self.scene.values))
             self._load = self.scene.load_at_start()
             self.warning = warnings.unseen_load(self.scene)
-            self._errors, self._behind = 2 * (0.0 if self._estimate else math.nan,), []
-            if self._finer:
-                self._finer.reset()
-            elif self._estimate:
-                self._parts = choose_parts(self.scene)[0]
-                self._finer = Simulator(refine(self.scene, self._parts))
-            if self._finer:  # whose equilibrium is another one
-                self._compare(self.motion.values[np.newaxis], self._finer,
-                              self._finer.motion.values[np.newaxis])
 
     def change(self, scene: SceneLike) -> None:
         """
@@ -231,9 +210,6 @@ class Simulator(Stateful, PointsOfArm):
         check_runtime(self.scene.values, scene.values)
         scene = scene_from(scene.values, self.scene.static)  # whatever its end effector needs
         with self._lock:
-            self.measure_error()
-            if self._finer:
-                self._finer.change(refine(scene, self._parts))
             first = self.steps - self._origin
             actuators = self._table.actuators.changed(scene.values, first)
             changed = tip_of(scene) != tip_of(self.scene)
@@ -266,13 +242,11 @@ class Simulator(Stateful, PointsOfArm):
         a text before a compilation, which takes a second or two.
         """
         with telling(tell):
-            for each in filter(None, (self._finer, self)):
-                motion = each.motion.values
-                if each.model.speed_limit < math.inf:  # for warnings
-                    each.model.rate(each._state, each._load)
-                if messages or self._finer:
-                    each.model.tip(motion)
+            motion = self.motion.values
+            if self.model.speed_limit < math.inf:  # for warnings
+                self.model.rate(self._state, self._load)
             if messages:
+                self.model.tip(motion)
                 self._table.actuators.warm_up()
                 self.model.energy(motion[np.newaxis])
                 effort, snapshot = self.model.effort, self.snapshot()
@@ -361,12 +335,9 @@ class Simulator(Stateful, PointsOfArm):
         Go on from another motion, (2 (3 + N),), such as one that was measured or is to be tried.
 
         Coordinates that are held, locked or driven keep their own. Raises ParameterError if it has
-        another shape or is not finite, or the simulator estimates its error, which would then be
-        that of another run.
+        another shape or is not finite.
         """
         values = numbers('motion', motion, (self.model.size,))
-        if self._finer:
-            raise ParameterError('set_motion needs a Simulator with estimate=False')
         with self._lock:
             self._state, self._resting = self.model.state(values), False
 
@@ -428,19 +399,12 @@ class Simulator(Stateful, PointsOfArm):
         self._note(count, commanded, samples)
 
     def _note(self, count, commanded, samples):
-        # Check for warnings, and keep what `measure_error` needs. The check takes as long as many
-        # steps, so that of single steps it sees one in eight.
-        if self.model.speed_limit < math.inf and (count > 1 or self.steps % STEPS_BEHIND == 1):
+        # Check for warnings. This costs many steps: it is done after every 8th of single steps.
+        if self.model.speed_limit < math.inf and (count > 1 or self.steps % _STEPS_A_CHECK == 1):
             seen = np.vstack([samples.motions, self.motion.values])
             share = self.model.axial_share(self._state, self.integration.acting(self._load))
             self.warning = self.warning or warnings.after_steps(
                 self.scene, self.model, share, self.t, seen)
-        if self._finer and count:
-            self._behind.append(_Call(
-                count, None if commanded is None else commanded.copy(), samples.every or count,
-                samples.motions[1:].copy() if samples.every else self.motion.values[np.newaxis]))
-            if len(self._behind) >= _MOST_BEHIND:
-                self.measure_error()
 
     @property
     def _next_tip(self):
@@ -457,67 +421,15 @@ class Simulator(Stateful, PointsOfArm):
             self.tip_load = self.tip_load._replace(changes=changes + 1)
         return before
 
-    @property
-    def estimated_error(self) -> float:
-        """Estimated error of the tip so far [m]; NaN without `estimate`, or if it is not known."""
-        with self._lock:
-            self.measure_error()
-            return self._errors[0]
-
-    @property
-    def estimated_deflection_error(self) -> float:
-        """The same of its deflection [m], which has the error of the shaft's angle, too."""
-        with self._lock:
-            self.measure_error()
-            return self._errors[1]
-
-    @checked(steps=WHOLE)
-    def measure_error(self, steps: int = 0) -> bool:
-        """
-        Advance the finer run, and measure how far apart the tips of both runs are.
-
-        It is advanced by at least `steps` steps, if it is that far behind; with 0 to the present.
-        Return whether it was advanced.
-        """
-        with self._lock:
-            number, found = 0, 0
-            while number < len(self._behind) and not 0 < steps <= found:
-                found, number = found + self._behind[number].steps, number + 1
-            if found < steps or not number:
-                return False
-            calls, self._behind = self._behind[:number], self._behind[number:]
-            if self._finer:
-                self._measure(calls, self._finer, self._parts)
-            return True
-
-    def _measure(self, calls, finer, parts):
-        try:
-            # Calls that differ in nothing but their number are one for the finer run.
-            others = [finer.advance(parts * sum(call.steps for call in alike), alike[0].commanded,
-                                    parts * alike[0].every)[0][1:]
-                      for alike in (list(group) for _, group in groupby(calls, _Call.kind))]
-        except DivergenceError:
-            self._finer, self._errors = None, (math.nan, math.nan)
-            self.warning = self.warning or warnings.NO_FINER_RUN
-            return
-        self._compare(np.vstack([call.motions for call in calls]), finer, np.vstack(others))
-
-    def _compare(self, motions, finer, others):
-        place, bend = tip_distances(self.model, motions, finer.model, others)
-        self._errors = max(self._errors[0], place), max(self._errors[1], bend)
-        self.warning = self.warning or warnings.inaccurate(self.scene, *self._errors)
-
     def _rest(self, count, samples):
         if samples.every:
             samples.motions[:] = self.motion.values
         self.steps += count
-        if self._finer:  # which rests, too
-            self._finer.advance(self._parts * count)
 
     def _give_up(self, before, count, commanded):  # return to the last good state and raise
         self._state, self._load, memory, tip_load, self.model, self.integration = before
         self.integration.memory, self.tip_load = memory, tip_load
-        if count > 1:
+        if count > 1:  # to find the step: one half diverges again, and raises
             for part in (count // 2, count - count // 2):
                 self.advance(part, commanded)
         raise DivergenceError(warnings.divergence(

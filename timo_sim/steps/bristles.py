@@ -5,144 +5,170 @@
 Presliding: dry friction as that of bristles, which bend before a joint slides (T64).
 
 The deflection of a bristle follows its joint within +-`reach`, and its force is a function of it.
-In a step this force is part of the load of the three stages. A joint's place in a step is the
-cubic through place and speed at both ends, of which those at the end are found in rounds (T65).
+Within a step it is a function of the joint's place, by what the joint and its bristle were at the
+start of the step: friction is part of the rate at each stage of `etdrk4.one_step`. At the end of a
+step deflections are set once, by the cubic through place and speed at both ends (T65). Nothing
+here branches on a float, so that the same text serves lanes.
 """
 
 from typing import Annotated, NamedTuple
 
 import numpy as np
 
-from timo_sim.compiled.functions import inner, square_root
+from timo_sim.compiled.functions import inner, magnitude, square_root, where
+from timo_sim.model.formulation import Formulation
+from timo_sim.model.functions import copy, joint_place
 from timo_sim.model.layout import (
-    FORCE_X, FORCE_Y, LOADS, MOTOR_FRICTION, SHAFT_FRICTION, STAGES, TORQUE)
+    FORCE_X, FORCE_Y, LOADS, MOTOR_FRICTION, SHAFT_FRICTION, TORQUE)
 
-# Columns of a load, by bristle: of carrier x, y, of the shaft or, with an elastic gear, the rotor,
+# Columns of a load, by joint: of carrier x, y, of the shaft or, with an elastic gear, the rotor,
 # and of the shaft of an elastic gear.
 COLUMNS = FORCE_X, FORCE_Y, TORQUE, SHAFT_FRICTION
 BRISTLES = len(COLUMNS)
+ROTOR = 2
 # What one of the friction of each adds to a load, (BRISTLES, LOADS).
 UNITS = np.eye(LOADS)[list(COLUMNS)]
-UNITS[2, MOTOR_FRICTION] = 1.0
+UNITS[ROTOR, MOTOR_FRICTION] = 1.0
 # What steps hand on: dry friction by column at the end of the last step, the energy that it has
 # taken [J], deflections of bristles.
 HEAT, DEFLECTION = BRISTLES, BRISTLES + 1
 MEMORY = DEFLECTION + BRISTLES
-# Steps that are tried. An odd number of rounds takes energy from vibrations, an even one gives.
-ROUNDS = 3
-FORWARD, BACKWARD, REACH = range(3)  # columns of `Joints.bristles`
+
+
+# Alone the stages make a swing on bristles gain 9e-4 (h Omega)^6 of its amplitude in a step. Stage
+# b sees the place of stage a, too, by this times (h Omega)^2 of the fastest swing: that takes
+# more, and is small enough for the order of the step to stay.
+_LEAD = 0.14
+BEGINNING, FIRST, SECOND, LAST = range(4)  # stages
 
 
 class Bristles(NamedTuple):
-    """Work arrays by bristle: joints at the start of a step, and deflections at its stages."""
+    """Constants: a row for each joint with a bristle; without rows no code is left of them."""
 
-    place: Annotated[np.ndarray, BRISTLES]
-    speed: Annotated[np.ndarray, BRISTLES]
-    deflection: Annotated[np.ndarray, STAGES, BRISTLES]
+    step: float  # [s]
+    joint: Annotated[np.ndarray, int, 'bristles']    # its number in COLUMNS
+    stiffness: Annotated[np.ndarray, 'bristles', 2]  # bent forward and backward
+    reach: Annotated[np.ndarray, 'bristles']         # [m, rad]
+    lead: float  # of stage b, see `_LEAD`
+    # Turn of the rotor per coordinate of an elastic gear, and the coordinate's place in a motion.
+    gear: Annotated[np.ndarray, 'gears']
+    place: int
 
 
-@inner
-def _at(joints, motion, number, begin):
-    """Return the place of a bristle's joint or, from the half of the motion on, its speed."""
-    found = motion[begin + min(number, 2)]
-    if number == 2:
-        for n in range(len(joints.gear)):
-            found += joints.gear[n] * motion[begin + joints.place]
+class Bent(NamedTuple):
+    """Work arrays: joints and deflections at the start of a step, and room for a load."""
+
+    place: Annotated[np.ndarray, 'bristles']
+    speed: Annotated[np.ndarray, 'bristles']
+    deflection: Annotated[np.ndarray, 'bristles']
+    middle: Annotated[np.ndarray, 'bristles']  # the way at stage a
+    load: Annotated[np.ndarray, LOADS]
+
+
+def bristles_of(models: list[Formulation], step: float, values: np.ndarray) -> list[np.ndarray]:
+    """Return fields of models of one size, (n, ...); `values` are `Scene.bristles` of each."""
+    rows, count = np.flatnonzero(values.any(axis=(0, 2))), len(models)
+    reach = values[:, rows, 2]
+    stiffness = np.divide(values[:, rows, :2], reach[..., np.newaxis], where=reach[
+        ..., np.newaxis] > 0.0, out=np.zeros((count, len(rows), 2)))
+    place, known = models[0].gear_place, {}
+    for model, each in zip(models, values):
+        key = id(model), each.tobytes()
+        if key not in known:
+            known[key] = _LEAD * step**2 * _fastest(model, each) if len(rows) else 0.0
+    lead = [known[id(model), each.tobytes()] for model, each in zip(models, values)]
+    gear = np.array([model.rotor[[place] * bool(model.gear)] for model in models])
+    return [np.full(count, step), np.tile(rows, (count, 1)), stiffness, reach, np.array(lead),
+            gear, np.full(count, place)]
+
+
+def _fastest(model, values):
+    """Return the largest eigenvalue of swings on bristles of a straight arm, Omega^2 [1/s2]."""
+    motion, half, found = np.zeros(model.size), model.size // 2, 0.0
+    free = [*model.axes, *range(2 + model.driven, half)]
+    joints = np.vstack([model.driven_turns.T, np.eye(3, half)[2]])[:, free]
+    root = np.sqrt(np.divide(values[:, :2].max(axis=1), values[:, 2], out=np.zeros(BRISTLES),
+                             where=values[:, 2] > 0.0))
+    for motion[2] in (0.0, 0.5 * np.pi):
+        mobility = joints @ np.linalg.inv(
+            model.mass_matrix(motion)[0][np.ix_(free, free)]) @ joints.T
+        found = max(found, *np.linalg.eigvalsh(np.outer(root, root) * mobility))
     return found
 
 
 @inner
-def _limit(joints, number, deflection):
-    return joints.bristles[number, FORWARD if deflection > 0.0 else BACKWARD]
-
-
-@inner
-def _force(joints, number, deflection):
-    """Return the friction of a bristle, against its deflection."""
-    return -_limit(joints, number, deflection) * deflection / joints.bristles[number, REACH]
-
-
-@inner
 def _within(reach, deflection):
-    return min(max(deflection, -reach), reach)
+    return where(deflection > reach, reach, where(deflection < -reach, -reach, deflection))
+
+
+@inner
+def _force(bristles, n, deflection):
+    """Return the friction of a bristle, against its deflection."""
+    forward, backward = bristles.stiffness[n, 0], bristles.stiffness[n, 1]
+    return -where(deflection > 0.0, forward, backward) * deflection
 
 
 @inner
 def _turn(start_speed, end_speed, way):
     """
-    Return time and way to where a joint turns round in a step, or 0; speeds are per step.
+    Return the way to where a joint turns round in a step, or 0; speeds are per step.
 
     The root of the cubic's rate is the one at which the rate changes its sign.
     """
-    time, found = 0.0, 0.0
-    if start_speed * end_speed < 0.0:
-        second = 3.0 * way - 2.0 * start_speed - end_speed
-        third = start_speed + end_speed - 2.0 * way
-        root = square_root(max(second * second - 3.0 * third * start_speed, 0.0))
-        time = -start_speed / (second - root if start_speed > 0.0 else second + root)
-        found = time * (start_speed + time * (second + time * third))
-    return time, found
+    second = 3.0 * way - 2.0 * start_speed - end_speed
+    third = start_speed + end_speed - 2.0 * way
+    square = second * second - 3.0 * third * start_speed
+    root = square_root(where(square > 0.0, square, 0.0))
+    time = -start_speed / where(start_speed > 0.0, second - root, second + root)
+    return where(start_speed * end_speed < 0.0,
+                 time * (start_speed + time * (second + time * third)), 0.0)
 
 
 @inner
-def guess(joints, bristles):
-    """Set deflections in a step as if speeds stayed."""
-    for i in range(len(joints.bristles)):
-        for j in range(1, STAGES):
-            bristles.deflection[j, i] = _within(
-                joints.bristles[i, REACH],
-                bristles.deflection[0, i] + 0.5 * j * joints.step * bristles.speed[i])
+def rub(tables, bristles, bent, stage, state, load):
+    """Set `bent.load` to a load and the friction in the state of a stage."""
+    copy(load, bent.load)
+    for n in range(len(bristles.reach)):
+        joint, reach, deflection = bristles.joint[n], bristles.reach[n], bent.deflection[n]
+        if stage != BEGINNING:
+            way = joint_place(tables, state, load, joint) - bent.place[n]
+            if stage == FIRST:
+                bent.middle[n] = way
+            if stage == SECOND:
+                way -= bristles.lead * (way - bent.middle[n])
+            # As if the joint did not turn on its way: no error was measured to grow by that.
+            deflection = _within(reach, deflection + way)
+        force = _force(bristles, n, deflection)
+        bent.load[COLUMNS[joint]] += force
+        if joint == ROTOR:
+            bent.load[MOTOR_FRICTION] += force
 
 
 @inner
-def add_bristles(joints, bristles, loads):
-    """Add the friction of bristles to the loads of the stages."""
-    for i in range(len(joints.bristles)):
-        if joints.bristles[i, REACH] > 0.0:
-            for j in range(STAGES):
-                loads[j, COLUMNS[i]] += _force(joints, i, bristles.deflection[j, i])
-
-
-@inner
-def bend(joints, motion, bristles):
-    """Set deflections in a step that ends with a motion; return whether they are as before."""
-    same = True
-    for i in range(len(joints.bristles)):
-        reach, start = joints.bristles[i, REACH], bristles.deflection[0, i]
-        if reach > 0.0:
-            speed = joints.step * bristles.speed[i]
-            end_speed = joints.step * _at(joints, motion, i, len(motion) // 2)
-            way = _at(joints, motion, i, 0) - bristles.place[i]
-            time, turn = _turn(speed, end_speed, way)
-            half = 0.5 * way + 0.125 * (speed - end_speed)
-            first = turn if time < 0.5 else 0.0
-            middle = _within(reach, _within(reach, start + first) + (half - first))
-            end = _within(reach, _within(reach, start + turn) + (way - turn))
-            same = same and (middle == bristles.deflection[1, i]
-                             and end == bristles.deflection[2, i])
-            bristles.deflection[1, i], bristles.deflection[2, i] = middle, end
-    return same
-
-
-@inner
-def start_bristles(joints, motion, moved, bristles, memory):
+def start_bristles(tables, bristles, state, load, motion, moved, bent, memory):
     """
-    Begin a step with a motion, by `memory`; if a step has `moved` joints to it, note that first.
+    Begin a step with a state, by `memory`; if a step has `moved` joints to it, note that first.
 
     Bristles take the energy of their slides, by limits of friction, and what their springs hold.
     """
-    for i in range(len(joints.bristles)):
-        place, speed = _at(joints, motion, i, 0), _at(joints, motion, i, len(motion) // 2)
-        if moved and joints.bristles[i, REACH] > 0.0:
-            start, way = bristles.deflection[0, i], place - bristles.place[i]
-            _, turn = _turn(joints.step * bristles.speed[i], joints.step * speed, way)
-            end = start
-            for part in range(2):
-                full = end + (way - turn if part else turn)
-                end = _within(joints.bristles[i, REACH], full)
-                memory[HEAT] += _limit(joints, i, end) * abs(full - end)
-            memory[HEAT] += 0.5 * (_force(joints, i, start) * start - _force(joints, i, end) * end)
-            memory[i] += _force(joints, i, end)
-            memory[DEFLECTION + i] = end
-        bristles.place[i], bristles.speed[i] = place, speed
-        bristles.deflection[0, i] = memory[DEFLECTION + i]
+    for n in range(len(bristles.reach)):
+        joint, reach = bristles.joint[n], bristles.reach[n]
+        place = joint_place(tables, state, load, joint)
+        speed = motion[len(motion) // 2 + min(joint, ROTOR)]
+        if joint == ROTOR:
+            for k in range(len(bristles.gear)):
+                speed += bristles.gear[k] * motion[len(motion) // 2 + bristles.place]
+        if moved:
+            start, way = memory[DEFLECTION + joint], place - bent.place[n]
+            turn = _turn(bristles.step * bent.speed[n], bristles.step * speed, way)
+            middle = _within(reach, start + turn)
+            end = _within(reach, middle + (way - turn))
+            there, here = _force(bristles, n, middle), _force(bristles, n, end)
+            memory[HEAT] += (
+                magnitude(there * (start + turn - middle))
+                + magnitude(here * (middle + (way - turn) - end))
+                + 0.5 * (_force(bristles, n, start) * start - here * end))
+            memory[joint] = here
+            memory[DEFLECTION + joint] = end
+        bent.place[n], bent.speed[n] = place, speed
+        bent.deflection[n] = memory[DEFLECTION + joint]

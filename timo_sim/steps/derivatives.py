@@ -13,92 +13,113 @@ import numpy as np
 
 from timo_sim.compiled.constants import local_arrays
 from timo_sim.compiled.entry import EntryPoint
-from timo_sim.compiled.functions import Array, Constants, inner, local, value_of, with_derivatives
+from timo_sim.compiled.functions import Array, Constants, inner, value_of, with_derivatives
 from timo_sim.model.formulation import Formulation
 from timo_sim.model.functions import copy, linear_part_is_valid, observe
 from timo_sim.model.layout import AFTER, END, LOADS, MIDDLE, START, STEP_LOADS
+from timo_sim.steps.bristles import Bent, MEMORY, start_bristles
 from timo_sim.steps.etdrk4 import one_step, Work
 from timo_sim.steps.steps import Steps
 
 
 class Room(NamedTuple):
-    """Work arrays: what the stages of a step see, and a motion."""
+    """Work arrays: what the stages of a step see, what steps hand on, and a motion."""
 
     loads: Annotated[np.ndarray, STEP_LOADS, LOADS]
+    memory: Annotated[np.ndarray, MEMORY]
     motion: Annotated[np.ndarray, 'motion']
 
 
 @inner
-def _set(values, slopes, first, out):
-    """Set duals to values; their derivatives are columns of slopes, from `first` on."""
+def _set(values, slopes, first, last, out):
+    """Set duals to values; their derivatives are rows of slopes, from `first` to `last`."""
     numbers = with_derivatives(out)
     for i in range(len(values)):
         out[i] = values[i]
-        for k in range(first, min(first + numbers.shape[1] - 1, slopes.shape[1])):
-            numbers[i, 1 + k - first] = slopes[i, k]
+        for k in range(first, last):
+            numbers[i, 1 + k - first] = slopes[k, i]
 
 
 @inner
-def _set_inputs(unit, inputs, first, out):
-    """Set the derivatives of the loads of a step by inputs, which begin at `first`."""
+def _get(given, first, last, slopes):
+    """Get the derivatives of duals."""
+    numbers = with_derivatives(given)
+    for i in range(len(given)):
+        for k in range(first, last):
+            slopes[k, i] = numbers[i, 1 + k - first]
+
+
+@inner
+def _set_inputs(load, unit, inputs, first, out):
+    """Set the loads of a step, with derivatives by inputs, which begin at `first`."""
     numbers = with_derivatives(out)
     for row in range(STEP_LOADS):
         for i in range(LOADS):
-            out[row, i] = 0.0
+            out[row, i] = load[i]
             for k in range(max(0, -first), min(inputs, numbers.shape[2] - 1 - first)):
                 numbers[row, i, 1 + first + k] = unit[k, i]
 
 
 @inner
-def _invert(matrix):
+def _invert(matrix, size):
     """Invert a matrix in place by elimination; that of rates by momenta needs no exchanges."""
-    for k in range(len(matrix)):
+    for k in range(size):
         factor, matrix[k, k] = 1.0 / matrix[k, k], 1.0
-        for j in range(len(matrix)):
+        for j in range(size):
             matrix[k, j] *= factor
-        for i in range(len(matrix)):
+        for i in range(size):
             factor = matrix[i, k]
             if i != k and factor != 0.0:
                 matrix[i, k] = 0.0
-                for j in range(len(matrix)):
+                for j in range(size):
                     matrix[i, j] -= factor * matrix[k, j]
 
 
 @inner
-def _set_slopes(tables, places, state, load, now, room, slopes):
-    """Set the derivatives of the state by the numbers of a motion at some places."""
-    numbers = with_derivatives(room.motion)
-    for i in range(len(slopes)):
-        for k in range(len(slopes)):
-            slopes[i, k] = 1.0 if i == k else 0.0
-    for first in range(0, len(state), numbers.shape[1] - 1):
-        _set(state, slopes, first, now)
+def _set_slopes(tables, places, state, memory_slopes, now, room, slopes, columns):
+    """Set the derivatives of state and memory at the start."""
+    numbers, size = with_derivatives(room.motion), len(state)
+    turns = numbers.shape[1] - 1
+    for k in range(columns):
+        for i in range(size):
+            slopes[k, i] = 1.0 if i == k else 0.0
+        for i in range(MEMORY):
+            memory_slopes[k, i] = 0.0
+    for first in range(0, size, turns):
+        last = min(first + turns, size)
+        _set(state, slopes, first, last, now)
         observe(tables, now, room.loads[AFTER], room.motion)
-        for k in range(first, min(first + numbers.shape[1] - 1, len(state))):
-            for i in range(len(state)):
-                slopes[i, k] = numbers[places[i], 1 + k - first]
-    _invert(slopes)
+        for k in range(first, last):
+            for i in range(size):
+                slopes[k, i] = numbers[places[i], 1 + k - first]
+    _invert(slopes, size)
 
 
-def differentiate(tables, propagator, places, state, load, loads, count, unit, inputs, end, out):
+def differentiate(tables, propagator, bristles, places, begins, state, memory, slopes,
+                  memory_slopes, load, loads, count, unit, inputs, out):
     """
-    Write the derivatives of the motion after some steps; the state stays.
+    Advance a state and its derivatives over some steps; write those of the motion at the end.
 
-    Each row is what a unit of a number of the motion before the steps or, in the last rows, of an
-    input changes.
+    Derivatives, in rows, are by the numbers of the motion at the start that are free and, in the
+    last rows, by inputs.
 
     Parameters
     ----------
-    tables, propagator : packed constants
+    tables, propagator, bristles : packed constants
     places : ndarray of int, shape (m,)
         Places of the free coordinates and their rates in a motion.
-    state, load, loads, count
+    begins : int
+        Whether the state is that at the start; otherwise derivatives are known.
+    state, memory : ndarray, shapes (m,), (MEMORY,)
+        As in `etdrk4.advance`.
+    slopes, memory_slopes : ndarray, shapes (m + k, m), (m + k, MEMORY)
+        Their derivatives.
+    load, loads, count
         As in `etdrk4.advance`.
     unit, inputs : ndarray, shape (k, LOADS), and k
         What one of each input adds to all loads.
-    end : ndarray, shape (m,)
-        Receives the state at the end.
     out : ndarray, shape (2 (3 + N) + k, 2 (3 + N))
+        Receives derivatives of the motion, by all of its numbers.
 
     Returns
     -------
@@ -106,47 +127,59 @@ def differentiate(tables, propagator, places, state, load, loads, count, unit, i
         Steps done, as by `etdrk4.advance`.
 
     """
-    work, room, slopes = (
-        local_arrays(Work, propagator), local_arrays(Room, tables), local((state, state)))
-    now, following, size = work.now, work.following, len(state)
-    at_end, turns = with_derivatives(room.motion), with_derivatives(now).shape[1] - 1
-    for i in range(LOADS):
-        room.loads[AFTER, i] = load[i]
-    _set_slopes(tables, places, state, load, now, room, slopes)
-    for k in range(at_end.shape[0] + inputs):
-        for i in range(at_end.shape[0]):
+    work, room, bent = (local_arrays(Work, propagator), local_arrays(Room, propagator),
+                        local_arrays(Bent, bristles))
+    now, following, motion, size = work.now, work.following, room.motion, len(state)
+    numbers, at_end = with_derivatives(room.loads), with_derivatives(motion)
+    turns, done = at_end.shape[1] - 1, 0
+    if begins != 0:
+        for i in range(LOADS):
+            room.loads[AFTER, i] = load[i]
+        _set_slopes(tables, places, state, memory_slopes, now, room, slopes, size + inputs)
+    for k in range(len(motion) + inputs):
+        for i in range(len(motion)):
             out[k, i] = 0.0
-    numbers, done = with_derivatives(room.loads), 0
     for first in range(0, size + inputs, turns):
-        _set(state, slopes, first, now)
-        _set_inputs(unit, inputs, size - first, room.loads)
+        last = min(first + turns, size + inputs)
+        _set(state, slopes, first, last, now)
+        _set(memory, memory_slopes, first, last, room.memory)
+        _set_inputs(load, unit, inputs, size - first, room.loads)
         done = 0
-        while done < count:
+        while True:
+            observe(tables, now, room.loads[AFTER], motion)
+            start_bristles(tables, bristles, now, room.loads[AFTER], motion, done > 0, bent,
+                           room.memory)
+            if done == count or done > 0 and not linear_part_is_valid(
+                    tables, now, room.loads[AFTER]):
+                break
             for row in range(STEP_LOADS):
                 for i in range(LOADS):
                     numbers[row, i, 0] = loads[done, row, i]
-            one_step(propagator, tables, room.loads[START], room.loads[MIDDLE], room.loads[END],
-                     work)
+            one_step(propagator, tables, bristles, bent, room.loads[START], room.loads[MIDDLE],
+                     room.loads[END], work)
             copy(following, now)
             done += 1
-            if not linear_part_is_valid(tables, now, room.loads[AFTER]):
-                break
-        observe(tables, now, room.loads[AFTER], room.motion)
-        for k in range(first, min(first + turns, size + inputs)):
-            row = places[k] if k < size else at_end.shape[0] + k - size
-            for i in range(at_end.shape[0]):
+        _get(now, first, last, slopes)
+        _get(room.memory, first, last, memory_slopes)
+        for k in range(first, last):
+            row = places[k] if k < size else len(motion) + k - size
+            for i in range(len(motion)):
                 out[row, i] = at_end[i, 1 + k - first]
     for i in range(size):
-        end[i] = value_of(now[i])
+        state[i] = value_of(now[i])
+    for i in range(MEMORY):
+        memory[i] = value_of(room.memory[i])
     return done
 
 
 # By the size of duals.
 _ENTRIES = {size: EntryPoint(differentiate, {
     'tables': Constants(duals=size), 'propagator': Constants(duals=size),
-    'places': Array(('state',), whole=True), 'state': Array(('state',)), 'load': Array((LOADS,)),
+    'bristles': Constants(duals=size), 'places': Array(('state',), whole=True), 'begins': int,
+    'state': Array(('state',)), 'memory': Array((MEMORY,)), 'slopes': Array((None, 'state')),
+    'memory_slopes': Array((None, MEMORY)), 'load': Array((LOADS,)),
     'loads': Array((None, STEP_LOADS, LOADS)), 'count': int, 'unit': Array((None, LOADS)),
-    'inputs': int, 'end': Array(('state',)), 'out': Array((None, 'motion'))},
+    'inputs': int, 'out': Array((None, 'motion'))},
     f'differentiate_{size}') for size in range(8, 33, 4)}
 
 
@@ -166,8 +199,9 @@ def step_derivatives(steps: Steps, state: np.ndarray, load: np.ndarray, loads: n
     Parameters
     ----------
     steps : Steps
+        Without friction that sticks.
     state, load, loads
-        As in `Steps.advance`; the state stays.
+        As in `Steps.advance`; the state stays, and the memory of the steps.
     unit : ndarray, shape (k, LOADS)
         What one of each input adds to all loads.
 
@@ -177,18 +211,16 @@ def step_derivatives(steps: Steps, state: np.ndarray, load: np.ndarray, loads: n
         Columns: by the motion before the steps, then by the inputs.
 
     """
-    model, size, inputs, parts = steps.model, steps.model.size, len(unit), []
+    model, state, memory, done = steps.model, state.copy(), steps.memory.copy(), 0
+    slopes, memory_slopes = (np.empty((len(state) + len(unit), len(each)))
+                             for each in (state, memory))
+    found = np.empty((model.size + len(unit), model.size))
     while True:
-        part, end = steps.part(model.sector(state, load)), np.empty(len(state))
-        found = np.empty((size + inputs, size))
-        done = entry_for(model).of(*part.constants)(
-            model.free_places, state, load, loads, len(loads), unit, inputs, end, found)
-        parts.append(found)
-        if done == len(loads):
-            break
-        state, load, loads = end, loads[done - 1, AFTER], loads[done:]
-    total = parts[0].T
-    for found in parts[1:]:
-        total = found[:size].T @ total
-        total[:, size:] += found[size:].T
-    return total
+        part, following = steps.part(model.sector(state, load)), loads[done:]
+        count = entry_for(model).of(*part, steps.bristles)(
+            model.free_places, done == 0, state, memory, slopes, memory_slopes, load, following,
+            len(following), unit, len(unit), found)
+        done += count
+        if not count or done == len(loads):
+            return found.T
+        load = loads[done - 1, AFTER]

@@ -19,6 +19,8 @@ from timo_sim.compiled.entry import entry_point
 from timo_sim.compiled.functions import Array, as_vectors, Constants, declare, inner, strict
 from timo_sim.model.functions import copy, linear_part_is_valid, observe, rate
 from timo_sim.model.layout import AFTER, END, LOADS, MIDDLE, START, STEP_LOADS
+from timo_sim.steps.bristles import (
+    BEGINNING, Bent, FIRST, HEAT, LAST, MEMORY, rub, SECOND, start_bristles)
 
 
 class Propagator(NamedTuple):
@@ -41,9 +43,10 @@ class Propagator(NamedTuple):
 def propagator(linear: np.ndarray, step: float) -> Propagator:
     """Return the matrices of a step h [s] for linear parts L, shape (..., m, m) [1/s]."""
     (whole, phi_1, phi_2, phi_3), half = _phi_of_balanced(linear, step)
-    return Propagator(whole, half[0], 0.5 * step * half[1],
-                      step * (phi_1 - 3.0 * phi_2 + 4.0 * phi_3),
-                      step * (2.0 * phi_2 - 4.0 * phi_3), step * (4.0 * phi_3 - phi_2))
+    return Propagator(whole=whole, half=half[0], half_weight=0.5 * step * half[1],
+                      start_weight=step * (phi_1 - 3.0 * phi_2 + 4.0 * phi_3),
+                      middle_weight=step * (2.0 * phi_2 - 4.0 * phi_3),
+                      end_weight=step * (4.0 * phi_3 - phi_2))
 
 
 # The series of phi_3 is summed where the norm of its argument is at most _NORM. Cut off after
@@ -156,34 +159,48 @@ class Work(NamedTuple):
 
 
 @declare
-def one_step(matrices, tables, start, middle, end, work):
-    """Write the state one step after `now` to `following`; the stages see three loads."""
+def one_step(matrices, tables, bristles, bent, start, middle, end, work):
+    """
+    Write the state one step after `now` to `following`; the stages see three loads.
+
+    They also see the friction of bristles, whose constants and start are given.
+    """
+
+
+@inner
+def _rate(tables, bristles, bent, stage, state, load, out):
+    """Write the rate of the state of a stage, under a load and the friction of bristles."""
+    if len(bristles.reach):
+        rub(tables, bristles, bent, stage, state, load)
+        rate(tables, state, bent.load, out)
+    else:
+        rate(tables, state, load, out)
 
 
 @one_step.of(Propagator, merge=True)
-def _one_step(propagator, tables, start, middle, end, work):
+def _one_step(propagator, tables, bristles, bent, start, middle, end, work):
     """As `one_step`, by (T36)."""
     now, following = work.now, work.following
-    rate(tables, now, start, work.rate_0)
+    _rate(tables, bristles, bent, BEGINNING, now, start, work.rate_0)
 
     # a = e^(hL/2) y + h/2 phi_1(hL/2) n_0
     product(propagator.half, now, work.half)
     copy(work.half, following)
     add_product(propagator.half_weight, work.rate_0, following)
-    rate(tables, following, middle, work.rate_a)
+    _rate(tables, bristles, bent, FIRST, following, middle, work.rate_a)
 
     # The first term of c, e^(hL/2) a, before b takes the place of a;
     # b = e^(hL/2) y + h/2 phi_1(hL/2) n_a
     product(propagator.half, following, work.third)
     copy(work.half, following)
     add_product(propagator.half_weight, work.rate_a, following)
-    rate(tables, following, middle, work.rate_b)
+    _rate(tables, bristles, bent, SECOND, following, middle, work.rate_b)
 
     # c = e^(hL/2) a + h/2 phi_1(hL/2) (2 n_b - n_0)
     for i in range(len(propagator.half)):
         work.combined[i] = 2.0 * work.rate_b[i] - work.rate_0[i]
     add_product(propagator.half_weight, work.combined, work.third)
-    rate(tables, work.third, end, work.rate_c)
+    _rate(tables, bristles, bent, LAST, work.third, end, work.rate_c)
 
     # The result, with the weights of n_0, of n_a + n_b and of n_c.
     for i in range(len(propagator.half)):
@@ -194,10 +211,19 @@ def _one_step(propagator, tables, start, middle, end, work):
     add_product(propagator.end_weight, work.rate_c, following)
 
 
-@entry_point(tables=Constants(), propagator=Constants(), state=Array(('state',), own=True),
+class Room(NamedTuple):
+    """A work array: a motion."""
+
+    motion: Annotated[np.ndarray, 'motion']
+
+
+@entry_point(tables=Constants(), propagator=Constants(), bristles=Constants(),
+             memory=Array((MEMORY,), own=True), state=Array(('state',), own=True),
              load=Array((LOADS,), own=True), loads=Array((None, STEP_LOADS, LOADS), own=True),
-             count=int, sample_every=int, since=int, samples=Array((None, 'motion'), own=True))
-def advance(tables, propagator, state, load, loads, count, sample_every, since, samples):
+             count=int, sample_every=int, since=int, samples=Array((None, 'motion'), own=True),
+             heat=Array((None,), own=True))
+def advance(tables, propagator, bristles, memory, state, load, loads, count, sample_every, since,
+            samples, heat):
     """
     Integrate over `count` equal steps, as long as the linear part of the tables is valid.
 
@@ -205,29 +231,36 @@ def advance(tables, propagator, state, load, loads, count, sample_every, since, 
     advanced in place, `load` is that at the start. `loads` has for each step those that its stages
     see, (T37), then the true load at its end, which samples show, see `model.layout`. `samples`
     receive the motions `sample_every`, 2 `sample_every`, ... steps after the first sample, which
-    was `since` steps ago; with `sample_every` = 0 none.
+    was `since` steps ago; with `sample_every` = 0 none. `memory`, see `bristles`, is advanced in
+    place; with bristles `heat` receives that with each sample.
 
     Return the steps done; they are fewer if the state is no longer finite, or the linear part is
     not the one for it.
     """
     work = local_arrays(Work, propagator)
-    now, following = work.now, work.following
+    now, following, motion = work.now, work.following, local_arrays(Room, tables).motion
+    bent = local_arrays(Bent, bristles)
     copy(state, now)
     k = 0
     while True:
+        sampled = sample_every != 0 and (since + k) % sample_every == 0
+        if len(bristles.reach):
+            observe(tables, now, load, motion)
+            start_bristles(tables, bristles, now, load, motion, k > 0, bent, memory)
+            if sampled:
+                copy(motion, samples[(since + k) // sample_every])
+                heat[(since + k) // sample_every] = memory[HEAT]
         # `Steps.motion` comes from here, too: compiled elsewhere it could be rounded differently.
-        if sample_every != 0 and (since + k) % sample_every == 0:
+        elif sampled:
             observe(tables, now, load, samples[(since + k) // sample_every])
-        if k == count:
+        if k == count or k > 0 and not linear_part_is_valid(tables, now, load):
             break
         start, middle, end = loads[k, START], loads[k, MIDDLE], loads[k, END]
-        one_step(propagator, tables, start, middle, end, work)
+        one_step(propagator, tables, bristles, bent, start, middle, end, work)
         if not is_finite(following):
             break
         copy(following, now)
         load = loads[k, AFTER]
         k += 1
-        if k < count and not linear_part_is_valid(tables, now, load):
-            break
     copy(now, state)
     return k

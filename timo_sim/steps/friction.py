@@ -4,7 +4,7 @@
 """
 Steps with Coulomb friction of the joints that stick: carrier along world x and y, and shaft.
 
-Joints with presliding have that of `bristles` instead.
+Joints with presliding have that of `bristles` instead, which is a part of the step.
 
 With an elastic gear the third joint is the rotor: the torque on it is the one that loads have.
 
@@ -20,14 +20,13 @@ from typing import Annotated, NamedTuple
 import numpy as np
 
 from timo_sim.compiled.constants import local_arrays, pack
-from timo_sim.compiled.entry import Call, entry_point
+from timo_sim.compiled.entry import entry_point
 from timo_sim.compiled.functions import Array, Constants, inner, local, square_root
 from timo_sim.model.formulation import Formulation
 from timo_sim.model.functions import copy, linear_part_is_valid, observe
 from timo_sim.model.layout import AFTER, LOADS, MOTOR_FRICTION, STAGES, STEP_LOADS, TORQUE
 from timo_sim.steps.bristles import (
-    add_bristles, bend, Bristles, BRISTLES, COLUMNS, guess, HEAT, MEMORY, ROUNDS, start_bristles,
-    UNITS)
+    Bent, BRISTLES, COLUMNS, HEAT, MEMORY, start_bristles)
 from timo_sim.steps.etdrk4 import is_finite, one_step, Work
 from timo_sim.steps.steps import Steps
 
@@ -48,9 +47,6 @@ class Joints(NamedTuple):
     # Turn of the rotor per coordinate of an elastic gear, and the coordinate's place in a motion.
     gear: Annotated[np.ndarray, 'gears']
     place: int
-    # Friction in forward and in backward motion [N, N m], and reach [m, rad], 0 without a bristle,
-    # by column of a load; no rows if no joint has one.
-    bristles: Annotated[np.ndarray, 'bristles', 3]
 
 
 class _Room(NamedTuple):
@@ -62,40 +58,26 @@ class _Room(NamedTuple):
 
 class FrictionSteps(Steps):
     """
-    Steps of a model with dry friction in its joints.
+    Steps of a model with dry friction in its joints that sticks.
 
     `limit` is the largest friction of carrier x, y [N] and shaft [N m] that stick, (3,); 0: none.
-    `bristles` are those of `Joints`, its constants are `joints`, packed.
     """
 
     def __init__(self, model: Formulation, step: float, limit: np.ndarray,
                  bristles: np.ndarray) -> None:
-        super().__init__(model, step)
-        place = model.gear_place
-        self.joints = pack(Joints(limit, step, model.rotor[[place] * bool(model.gear)], place,
-                                  bristles if bristles.any() else bristles[:0]))
-        self.memory = np.zeros(MEMORY)
-        self._advance: dict[int, Call] = {}
+        super().__init__(model, step, bristles)
+        place, self._has_friction = model.gear_place, True
+        self.joints = pack(Joints(limit, step, model.rotor[[place] * bool(model.gear)], place))
 
-    def __getstate__(self):
-        return {**super().__getstate__(), '_advance': {}}
-
-    def _run(self, part, state, load, loads, samples, since):
-        if id(part) not in self._advance:  # the model keeps its parts
-            self._advance[id(part)] = advance.of(*part.constants, self.joints)
-        return self._advance[id(part)](self.memory, state, load, loads, len(loads),
-                                       samples.every, since, samples.motions, samples.heat)
-
-    def acting(self, load: np.ndarray) -> np.ndarray:
-        """Return a load plus the friction at the end of the last step, shape (LOADS,)."""
-        return load + self.memory[:BRISTLES] @ UNITS
+    def _compiled(self, part):
+        return advance.of(*part, self.bristles, self.joints)
 
 
 def steps_of(model: Formulation, step: float, limit: np.ndarray, bristles: np.ndarray) -> Steps:
     """Return equal steps [s] of a model, with dry friction if it has any, see FrictionSteps."""
-    if limit.any() or bristles.any():
+    if limit.any():
         return FrictionSteps(model, step, limit, bristles)
-    return Steps(model, step)
+    return Steps(model, step, bristles)
 
 
 class Trial(NamedTuple):
@@ -324,13 +306,13 @@ def _add_heat(joints, motion, trial, memory):
             + trial.slope[i] * joints.step * (motion[rates + i] - trial.speed[i]) / 12.0)
 
 
-@entry_point(tables=Constants(), propagator=Constants(), joints=Constants(),
-             memory=Array((MEMORY,), own=True), state=Array(('state',), own=True),
-             load=Array((LOADS,), own=True), loads=Array((None, STEP_LOADS, LOADS), own=True),
-             count=int, sample_every=int, since=int, samples=Array((None, 'motion'), own=True),
-             heat=Array((None,), own=True))
-def advance(tables, propagator, joints, memory, state, load, loads, count, sample_every, since,
-            samples, heat):
+@entry_point(tables=Constants(), propagator=Constants(), bristles=Constants(),
+             joints=Constants(), memory=Array((MEMORY,), own=True),
+             state=Array(('state',), own=True), load=Array((LOADS,), own=True),
+             loads=Array((None, STEP_LOADS, LOADS), own=True), count=int, sample_every=int,
+             since=int, samples=Array((None, 'motion'), own=True), heat=Array((None,), own=True))
+def advance(tables, propagator, bristles, joints, memory, state, load, loads, count, sample_every,
+            since, samples, heat):
     """
     Integrate over a run of equal steps with friction, as `etdrk4.advance` does without.
 
@@ -339,7 +321,7 @@ def advance(tables, propagator, joints, memory, state, load, loads, count, sampl
     work, trial = local_arrays(Work, propagator), local_arrays(Trial, joints)
     now, following, model = work.now, work.following, local_arrays(StepModel, joints)
     pushed, motion = local_arrays(_Room, tables)
-    bristles = local_arrays(Bristles, joints)
+    bent = local_arrays(Bent, bristles)
     for i in range(BRISTLES):
         trial.end_friction[i] = 0.0
     for i in range(JOINTS):
@@ -353,7 +335,7 @@ def advance(tables, propagator, joints, memory, state, load, loads, count, sampl
         sampled = sample_every != 0 and (since + k) % sample_every == 0
         if sampled:
             copy(motion, samples[(since + k) // sample_every])
-        start_bristles(joints, motion, k > 0, bristles, memory)
+        start_bristles(tables, bristles, now, load, motion, k > 0, bent, memory)
         _turn_rotor(joints, motion)
         if k > 0:
             _add_heat(joints, motion, trial, memory)
@@ -379,16 +361,11 @@ def advance(tables, propagator, joints, memory, state, load, loads, count, sampl
                 _fit_model(trial, model)
                 if _solve_model(joints, model, trial):
                     break
-            guess(joints, bristles)
-            for _ in range(ROUNDS):
-                _add_friction(loads[k], trial, pushed)
-                add_bristles(joints, bristles, pushed)
-                for j in range(STAGES):
-                    pushed[j, MOTOR_FRICTION] = pushed[j, TORQUE] - loads[k, j, TORQUE]
-                one_step(propagator, tables, pushed[0], pushed[1], pushed[2], work)
-                observe(tables, following, pushed[2], motion)
-                if bend(joints, motion, bristles):
-                    break
+            _add_friction(loads[k], trial, pushed)
+            for j in range(STAGES):
+                pushed[j, MOTOR_FRICTION] = pushed[j, TORQUE] - loads[k, j, TORQUE]
+            one_step(propagator, tables, bristles, bent, pushed[0], pushed[1], pushed[2], work)
+            observe(tables, following, pushed[2], motion)
             _turn_rotor(joints, motion)
             sliding = _note_trial(joints, model, trial, number, motion)
             if number == 0 and sliding:

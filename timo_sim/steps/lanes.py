@@ -9,7 +9,7 @@ own: a lane that diverges is computed on and its result thrown away.
 """
 
 from functools import cached_property
-from typing import Annotated, NamedTuple
+from typing import Annotated, Any, NamedTuple
 
 import numpy as np
 
@@ -20,6 +20,7 @@ from timo_sim.compiled.functions import (
 from timo_sim.model.formulation import Formulation
 from timo_sim.model.functions import copy, observe, tip
 from timo_sim.model.layout import AFTER, END, LOADS, MIDDLE, STAGES, START, STEP_LOADS
+from timo_sim.steps.bristles import Bent, Bristles, bristles_of, MEMORY, start_bristles
 from timo_sim.steps.etdrk4 import one_step, Work
 from timo_sim.steps.steps import matrices_of
 
@@ -40,19 +41,25 @@ class LaneSteps:
     Equal steps of n models of one size, in groups of WIDTH.
 
     The models are of one class, with tables of the same shapes and the same free coordinates. A
-    run whose arm is bent by more than `bend_limit` arm lengths counts as diverged.
+    run whose arm is bent by more than `bend_limit` arm lengths counts as diverged. `bristles`,
+    (n, 4, 3), are `Scene.bristles` of each. `alike` says that lanes with the same model may share
+    its constants, so that none can be changed.
 
     Arrays have the shape (groups, ..., WIDTH): `state`, m numbers; `progress`, whether a lane is
-    alive, 1 or 0, and how many steps it has done; at the end of the last call `motion`,
-    2 (3 + N), and `tip`, 3, what `model.functions.tip` returns.
+    alive, 1 or 0, and how many steps it has done; `memory`, of friction; at the end of the last
+    call `motion`, 2 (3 + N), and `tip`, 3, what `model.functions.tip` returns.
     """
 
-    def __init__(self, models: list[Formulation], step: float, bend_limit: float) -> None:
-        self.count, self.models, self.step = len(models), models, step
+    def __init__(self, models: list[Formulation], step: float, bend_limit: float,
+                 bristles: np.ndarray, alike: bool) -> None:
+        self.step, self._bristles = step, bristles
         groups = -(-len(models) // WIDTH)
-        padded = [models[min(row, len(models) - 1)] for row in range(groups * WIDTH)]
-        lanes, size = len(padded), models[0].size
-        if all(model is models[0] for model in models):
+        rows = np.minimum(np.arange(groups * WIDTH), len(models) - 1)
+        padded = [models[row] for row in rows]
+        lanes, size, self._models = len(padded), models[0].size, padded
+        self._sectors: Any = np.full(lanes, -1) if models[0].sectors else None
+        self._parts: dict[tuple[Formulation, int | None], Any] = {}
+        if alike and not models[0].sectors and all(model is models[0] for model in models):
             entry, tables = advance_alike, models[0].pack(models[0].tables, pad=False)
             matrices = pack(matrices_of(models[0].linear, step), pad=False)
         else:
@@ -67,8 +74,10 @@ class LaneSteps:
             np.array([model.tip_travel[3:] for model in padded]),
             np.array([[bend_limit * model.manipulator.arm.length] for model in padded]),
             np.zeros((lanes, size))))
+        packed = pack_lanes(Bristles._make(bristles_of(padded, step, bristles[rows])))
         self.groups, self._entry = groups, entry
-        self._constants = tables, matrices, lane_constants
+        self._constants = tables, matrices, packed, lane_constants
+        self.memory = np.zeros((groups, MEMORY, WIDTH))
         self.state = np.zeros((groups, len(models[0].linear), WIDTH))
         self.progress, self.motion = np.ones((groups, 2, WIDTH)), np.zeros((groups, size, WIDTH))
         self.tip, self.progress[:, 1] = np.zeros((groups, 3, WIDTH)), 0.0
@@ -76,7 +85,7 @@ class LaneSteps:
     @property
     def constant_load(self) -> np.ndarray:
         """What of loads does not vary within a call, (groups, LOADS, WIDTH)."""
-        return self._constants[2].constant_load
+        return self._constants[3].constant_load
 
     @cached_property
     def _advance(self):
@@ -99,8 +108,63 @@ class LaneSteps:
         """
         samples = self.room(0, self.motion.shape[1]) if samples is None else samples
         tips = self.room(0, 3) if tips is None else tips
+        if self._sectors is None:
+            self._call(columns, varying, sample_every, since, samples, tips)
+            return
+        # Only between two calls can a lane get the linear part of another sector.
+        for k in range(max(1, varying.shape[1] - 1)):
+            self._enter_sectors(columns, varying[:, k, AFTER])
+            here = self.room(min(1, tips.shape[1]), 3)
+            self._call(columns, np.ascontiguousarray(varying[:, k:k + 2]), sample_every, since + k,
+                       samples, here)
+            tips[:, k:k + 1] = here
+
+    def _enter_sectors(self, columns, varying):
+        # Give lanes whose shafts have turned on the linear part of their sector.
+        load = self.constant_load.copy()
+        load[:, columns] += varying
+        load, states = (from_lanes(each, len(self._models)) for each in (load, self.state))
+        now = self._models[0].sector(states, load, self._constants[0].bands_per_speed.ravel())
+        lanes = np.flatnonzero(now != self._sectors)
+        self._sectors[lanes] = now[lanes]
+        self._use(lanes)
+
+    def change_model(self, lane: int, model: Formulation) -> None:
+        """Give a lane another model of the same size, such as with another load at the tip."""
+        own = range(lane, lane + 1) if lane < len(self._bristles) - 1 else (
+            range(lane, len(self._models)))  # the last one fills the rest
+        for each in own:
+            self._models[each] = model
+        self._use(np.array(own))
+        self._write(self._constants[2], np.array(own), [Bristles._make(
+            each[0] for each in bristles_of([model], self.step, self._bristles[[lane]]))
+            for _ in own])
+
+    def _use(self, lanes):
+        # Write tables and matrices of the present models and sectors of some lanes.
+        parts = [self._part(self._models[lane], None if self._sectors is None else
+                            int(self._sectors[lane])) for lane in lanes]
+        for packed, fields in zip(self._constants, zip(*parts)):
+            self._write(packed, lanes, fields)
+
+    def _part(self, model, sector):
+        key = model, sector
+        if key not in self._parts:
+            tables, linear = ((model.tables, model.linear) if sector is None or sector < 0 else
+                              model.in_sector(sector))
+            self._parts[key] = tables, matrices_of(linear, self.step)
+        return self._parts[key]
+
+    @staticmethod
+    def _write(packed, lanes, fields):
+        for (name, view), values in zip(packed.views.items(), zip(*fields)):
+            if view.dtype == float:  # whole numbers are those of all lanes
+                view[lanes // WIDTH, ..., lanes % WIDTH] = values
+
+    def _call(self, columns, varying, sample_every, since, samples, tips):
         self._advance(columns, len(columns), varying.reshape(-1, WIDTH), varying.shape[1] - 1,
-                      self.state, self.progress, self.motion, self.tip, self.groups, sample_every,
+                      self.memory, self.state, self.progress, self.motion, self.tip, self.groups,
+                      sample_every,
                       since, samples.reshape(-1, *samples.shape[2:]), samples.shape[1],
                       tips.reshape(-1, *tips.shape[2:]), tips.shape[1])
 
@@ -135,13 +199,14 @@ def _set_load(lane, columns, count, varying, place, row):
 
 
 @inner
-def _advance(tables, propagator, lane, columns, count, varying, varying_from, steps, state,
-             progress, end_motion, end_tip, sample_every, since, samples, samples_from, tips,
-             tips_from, tip_rows):
+def _advance(tables, propagator, bristles, lane, columns, count, varying, varying_from, steps,
+             memory, state, progress, end_motion, end_tip, sample_every, since, samples,
+             samples_from, tips, tips_from, tip_rows):
     """Integrate one group of lanes over equal steps, see `advance`."""
     work = local_arrays(Work, propagator)
     now, following = work.now, work.following
     motion, load = local((lane.motion,)), lane.load
+    bent = local_arrays(Bent, bristles)
     for row in range(STEP_LOADS):
         copy(lane.constant_load, load[row])
     modal = len(state) // 2 - len(lane.tip_travel)
@@ -152,15 +217,16 @@ def _advance(tables, propagator, lane, columns, count, varying, varying_from, st
         place = varying_from + k * STEP_LOADS * count
         _set_load(lane, columns, count, varying, place + AFTER * count, AFTER)
         sampled = sample_every > 0 and (since + k) % sample_every == 0
-        if sampled or k == steps:
+        if sampled or k == steps or len(bristles.reach):
             observe(tables, now, load[AFTER], motion)
+            start_bristles(tables, bristles, now, load[AFTER], motion, k > 0, bent, memory)
             if sampled:
                 copy(motion, samples[samples_from + (since + k) // sample_every])
         if k == steps:
             break
         for row in range(STAGES):
             _set_load(lane, columns, count, varying, place + (STEP_LOADS + row) * count, row)
-        one_step(propagator, tables, load[START], load[MIDDLE], load[END], work)
+        one_step(propagator, tables, bristles, bent, load[START], load[MIDDLE], load[END], work)
         if k < tip_rows:
             for i in range(len(lane.tip_travel)):
                 motion[3 + i] = now[modal + i]
@@ -184,8 +250,9 @@ def _advance(tables, propagator, lane, columns, count, varying, varying_from, st
     progress[0], progress[1] = alive, done
 
 
-def advance(tables, propagator, lane, columns, count, varying, steps, state, progress, motion,
-            end_tip, groups, sample_every, since, samples, sample_rows, tips, tip_rows):
+def advance(tables, propagator, bristles, lane, columns, count, varying, steps, memory, state,
+            progress, motion, end_tip, groups, sample_every, since, samples, sample_rows, tips,
+            tip_rows):
     """
     Integrate groups of lanes over equal steps, see `LaneSteps.advance`.
 
@@ -194,17 +261,18 @@ def advance(tables, propagator, lane, columns, count, varying, steps, state, pro
     samples and `tip_rows` tips.
     """
     for g in range(groups):
-        _advance(tables[g], propagator[g], lane[g], columns, count, varying,
-                 g * (1 + steps) * STEP_LOADS * count, steps, state[g], progress[g], motion[g],
-                 end_tip[g], sample_every, since, samples, g * sample_rows, tips, g * tip_rows,
-                 tip_rows)
+        _advance(tables[g], propagator[g], bristles[g], lane[g], columns, count, varying,
+                 g * (1 + steps) * STEP_LOADS * count, steps, memory[g], state[g], progress[g],
+                 motion[g], end_tip[g], sample_every, since, samples, g * sample_rows, tips,
+                 g * tip_rows, tip_rows)
 
 
 # For lanes with the same packed constants, and for lanes each with its own.
 advance_alike, advance_each = (EntryPoint(advance, {
-    'tables': Constants(form), 'propagator': Constants(form), 'lane': Constants('lanes'),
-    'columns': Array((None,), whole=True, own=True), 'count': int,
+    'tables': Constants(form), 'propagator': Constants(form), 'bristles': Constants('lanes'),
+    'lane': Constants('lanes'), 'columns': Array((None,), whole=True, own=True), 'count': int,
     'varying': Array((None,), lanes=True), 'steps': int,
+    'memory': Array((None, MEMORY), lanes=True, own=True),
     'state': Array((None, 'state'), lanes=True, own=True),
     'progress': Array((None, 2), lanes=True, own=True),
     'motion': Array((None, 'motion'), lanes=True, own=True),

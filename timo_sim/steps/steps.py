@@ -12,6 +12,7 @@ from timo_sim.compiled.entry import Call
 from timo_sim.model.formulation import Formulation
 from timo_sim.model.layout import AFTER, LOADS, STEP_LOADS
 from timo_sim.steps import etdrk4
+from timo_sim.steps.bristles import Bristles, BRISTLES, bristles_of, MEMORY, UNITS
 from timo_sim.steps.etdrk4 import Propagator, propagator
 
 NO_LOADS = np.zeros((0, STEP_LOADS, LOADS))
@@ -31,13 +32,6 @@ class Samples(NamedTuple):
     heat: np.ndarray     # energy that dry friction has taken since the initial motion [J], (n,)
 
 
-class LinearPart(NamedTuple):
-    """Constants of a model with one linear part L of its rate, and the matrices of its steps."""
-
-    advance: Call       # `etdrk4.advance` with its constants
-    constants: tuple[Packed, Packed]  # of the compiled functions, `matrices_of`
-
-
 class Steps:
     """
     Equal steps of a model, of a length in seconds.
@@ -46,22 +40,26 @@ class Steps:
     back.
     """
 
-    def __init__(self, model: Formulation, step: float) -> None:
+    def __init__(self, model: Formulation, step: float,
+                 bristles: np.ndarray = np.zeros((BRISTLES, 3))) -> None:
         self.model, self.step = model, step
-        self.memory = np.zeros(0)
-        # All steps of this length share them; the key is the number of a sector, None without.
-        self._parts = model.linear_parts(step)
+        self.memory = np.zeros(MEMORY)
+        self.bristles = pack(Bristles._make(
+            each[0] for each in bristles_of([model], step, bristles[np.newaxis])))
+        self._has_friction = bool(bristles.any())
+        # The key is the number of a sector, None without; all steps of this length share parts.
+        self._parts, self._advance = model.linear_parts(step), dict[int | None, Call]()
         self._no_samples = Samples(0, np.empty((0, model.size)), np.zeros(0))
 
     def __getstate__(self):
-        return {**vars(self), '_parts': None}
+        return {**vars(self), '_parts': None, '_advance': {}}
 
     def __setstate__(self, state):
         self.__dict__.update(state, _parts=state['model'].linear_parts(state['step']))
 
     def acting(self, load: np.ndarray) -> np.ndarray:
         """Return a load plus the dry friction at the end of the last step, shape (LOADS,)."""
-        return load
+        return load + self.memory[:BRISTLES] @ UNITS if self._has_friction else load
 
     def reset(self) -> None:
         """Forget friction and heat of earlier steps."""
@@ -89,27 +87,35 @@ class Steps:
         """
         done = 0
         while True:
-            part = self.part(self.model.sector(state, load))
-            count = self._run(part, state, load, loads[done:] if done else loads, samples,
-                              since + done)
+            following = loads[done:] if done else loads
+            count = self._call(self.model.sector(state, load))(
+                self.memory, state, load, following, len(following), samples.every, since + done,
+                samples.motions, samples.heat)
             done += count
             if not self.model.sectors or not count or done == len(loads):
                 return done
             load = loads[done - 1, AFTER]  # the shaft has turned into another sector
 
-    def _run(self, part, state, load, loads, samples, since):
-        """Integrate as long as a linear part is valid; return the number of steps done."""
-        return part.advance(state, load, loads, len(loads), samples.every, since, samples.motions)
+    def _call(self, sector):
+        if sector not in self._advance:
+            self._advance[sector] = self._compiled(self.part(sector))
+        return self._advance[sector]
 
-    def part(self, sector: int | None) -> LinearPart:
-        """Return the LinearPart of a sector, made at its first use; None: that of the model."""
+    def _compiled(self, part):
+        return etdrk4.advance.of(*part, self.bristles)
+
+    def part(self, sector: int | None) -> tuple[Packed, Packed]:
+        """
+        Return constants of the compiled functions: tables of a sector, matrices of its steps.
+
+        They are made at their first use; None: those of the model.
+        """
         if sector not in self._parts:
             model, packed, linear = self.model, self.model.packed, self.model.linear
             if sector is not None:
                 tables, linear = model.in_sector(sector)
                 packed = model.pack(tables)
-            constants = packed, pack(matrices_of(linear, self.step))
-            self._parts[sector] = LinearPart(etdrk4.advance.of(*constants), constants)
+            self._parts[sector] = packed, pack(matrices_of(linear, self.step))
         return self._parts[sector]
 
     def motion(self, state: np.ndarray, load: np.ndarray) -> np.ndarray:

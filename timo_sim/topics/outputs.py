@@ -75,13 +75,13 @@ IMU = '~/tip_imu/data_raw'
 SENSORS = (
     Sensor('root_strain', '', 'the strain of the outer fibre at the root',
            '~/root_strain', ('outer_fibre',),
-           lambda joints: joints.root_strain, quantity='root_strain'),
+           read=lambda joints: joints.root_strain, quantity='root_strain'),
     Sensor('tip_acceleration', 'm/s2', 'either axis of the specific force '
            '(acceleration less gravity) of the tip',
            IMU, ('acceleration_x_m_per_s2', 'acceleration_y_m_per_s2'),
-           lambda joints: joints.tip_acceleration, quantity='tip_acceleration'),
+           read=lambda joints: joints.tip_acceleration, quantity='tip_acceleration'),
     Sensor('gyro', 'rad/s', 'the angular velocity of the tip',
-           IMU, ('turning_rad_per_s',), lambda joints: joints.tip_turning),
+           IMU, ('turning_rad_per_s',), read=lambda joints: joints.tip_turning),
     Sensor('encoder', 'rad', 'the shaft angle',
            '~/encoder', ('shaft_rad',),
            of_motion=lambda model, motions: motions[:, 2], quantity='shaft', joint='shaft'),
@@ -227,7 +227,8 @@ def _sensor_outputs(gear):
             return [axis for name in names for axis in snapshot.sensor(name)]
 
         if topic == IMU:
-            yield Output(topic, 'sensor_msgs/msg/Imu', read, _imu(*columns), delay, _imu_unlogged)
+            yield Output(name=topic, type_name='sensor_msgs/msg/Imu', numbers=read,
+                         template=_imu(*columns), delay=delay, unlogged=_imu_unlogged)
         else:
             joint = sensors[0].joint or sensors[0].name
             yield Output(topic, 'sensor_msgs/msg/JointState', read, {

@@ -198,11 +198,9 @@ def animate(tracks: Sequence[Track], path: Path | str, fps: float = _MOST_FPS) -
 
     The left axes show the arms in the plane of motion, each with its straight arm and the path of
     its tip so far; where there is gravity, a floor under the carrier. The right axes show the
-    transverse deflection of the tips, with a line at now. Raises ParameterError if the path does
-    not end with .gif, or `fps` is not above 0 and at most 1e6.
+    transverse deflection of the tips, with a line at now. Raises ParameterError if `fps` is not
+    above 0 and at most 1e6.
     """
-    if not str(path).endswith('.gif'):
-        raise ParameterError(f'the path of an animation must end with .gif, got {path}')
     fps = min(FPS.check(fps), _MOST_FPS)
     figure = Figure(figsize=_SIZE, dpi=_DPI, layout='constrained')
     canvas = FigureCanvasAgg(figure)

@@ -132,7 +132,8 @@ def track_of_run(run: Any, name: str = 'run', deflection_scale: float = 1.0) -> 
     note += f' Gravity is {np.hypot(*gravity):.4g} m/s2.' if floor else ''
     title = '' if scale == 1.0 else f'deflection x {scale:g}'
     note += f' The plane shows {title}.' if title else ''
-    return Track(name, ns, poses, traces, body, note, floor, title)
+    return Track(name=name, ns=ns, poses=poses, traces=traces, body=body, note=note, floor=floor,
+                 title=title)
 
 
 def floor_of(gravity: tuple[float, float], carrier: np.ndarray, body: Body) -> Floor | None:

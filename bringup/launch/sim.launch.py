@@ -1,10 +1,11 @@
 # Copyright 2026 The timo_sim authors
 # SPDX-License-Identifier: Apache-2.0
 
-"""Start the simulator: `ros2 launch timo_sim sim.launch.py params_file:=FILE`."""
+"""Start the simulator: `ros2 launch timo_sim_bringup sim.launch.py params_file:=FILE`."""
 
 from pathlib import Path
 
+from ament_index_python.packages import get_package_share_directory
 from launch import LaunchDescription
 from launch.actions import DeclareLaunchArgument, OpaqueFunction
 from launch.substitutions import LaunchConfiguration
@@ -40,7 +41,7 @@ def _node(context):
 
 def generate_launch_description():
     """Describe one node with one parameter file, the paper's scene by default."""
-    paper = Path(__file__).resolve().parents[1] / 'config/paper.yaml'
+    paper = Path(get_package_share_directory('timo_sim'), 'config/paper.yaml')
     return LaunchDescription([
         DeclareLaunchArgument('params_file', default_value=str(paper),
                               description='ROS parameter file with the scene, below /** '

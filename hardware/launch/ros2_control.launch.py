@@ -2,7 +2,7 @@
 # SPDX-License-Identifier: Apache-2.0
 
 """
-Run the simulator under ros2_control: `ros2 launch timo_sim ros2_control.launch.py`.
+Run the simulator under ros2_control: `ros2 launch timo_sim_hardware ros2_control.launch.py`.
 
 doc/ros.md is the page about it.
 """
@@ -10,7 +10,6 @@ doc/ros.md is the page about it.
 from pathlib import Path
 import shlex
 
-from ament_index_python.packages import get_package_prefix
 from launch import LaunchDescription
 from launch.actions import DeclareLaunchArgument, OpaqueFunction, Shutdown
 from launch.logging import launch_config
@@ -31,8 +30,6 @@ def _nodes(context):
         LaunchConfiguration(name).perform(context) for name in (
             'hardware', 'controller', 'sync', 'controllers_file', 'params_file'))
     inside, timed = hardware == 'inside', {'use_sim_time': True}
-    if inside:
-        get_package_prefix('timo_sim_hardware')  # raises an error if it is missing
     library = Path(launch_config.log_dir, 'scene.so')
     urdf = Command([
         ExecutableInPackage('timo_sim', 'timo_sim'), ' urdf ', shlex.quote(scene),
@@ -70,7 +67,7 @@ def generate_launch_description():
     return LaunchDescription([
         DeclareLaunchArgument('hardware', default_value='inside', choices=['inside', 'topic'],
                               description='whether the arm steps inside the controller manager, '
-                                          'by timo_sim_hardware, or in a node of its own'),
+                                          'or in a node of its own'),
         DeclareLaunchArgument('controller', default_value='effort_controller',
                               description='controller of controllers_file that is activated'),
         DeclareLaunchArgument('sync', default_value='free', choices=['free', 'any_command'],

@@ -1,7 +1,7 @@
 # Copyright 2026 The timo_sim authors
 # SPDX-License-Identifier: Apache-2.0
 
-"""Look at a simulator with publish_tf in RViz: `ros2 launch timo_sim rviz.launch.py`."""
+"""Look at a simulator with publish_tf in RViz: `ros2 launch timo_sim_bringup rviz.launch.py`."""
 
 from pathlib import Path
 
