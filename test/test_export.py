@@ -44,7 +44,7 @@ SCENES = {
                  'initial.shaft_velocity': 0.2, 'carrier.force_limit': 3.0},
     'sticking, one axis held': {'carrier.held': 'y', 'carrier.coulomb_friction': 0.5},
     'presliding': {'motor.coulomb_friction': 0.8, 'motor.coulomb_presliding': 1e-3,
-                   'motor.coulomb_rest': 0.6, 'motor.coulomb_speed': 0.2,
+                   'motor.coulomb_static': 0.6, 'motor.coulomb_speed': 0.2,
                    'carrier.coulomb_friction': 1.0, 'initial.shaft_velocity': 0.2},
     'presliding behind a gear': {
         'motor.gear.stiffness': 900.0, 'motor.rotor.inertia': 0.5,

@@ -22,7 +22,6 @@ from timo_sim.model.functions import tips
 from timo_sim.model.layout import LOADS, STEP_LOADS
 from timo_sim.simulation.derivatives import unit_loads_of, why_not_differentiable
 from timo_sim.simulation.loads import Actuators
-from timo_sim.steps import friction
 from timo_sim.steps import instance as steps
 from timo_sim.steps.bristles import MEMORY
 from timo_sim.steps.derivatives import differentiate, inputs_of
@@ -58,7 +57,6 @@ class _Model:
         self.plant, self.loads = plant_of(simulator), pack(scene.load.rows(scene.step))
         self.tables, self.actuators = model.packed, Actuators(scene.values).packed
         self.bristles = simulator.integration.bristles
-        self.joints = getattr(simulator.integration, 'joints', None)
         # What steps are differentiated by, if they are.
         unit = unit_loads_of(scene.values, [each.column for each in interface.inputs])
         self.inputs = None if why_not_differentiable(scene) else inputs_of(unit, model.size)
@@ -217,8 +215,7 @@ class _Body:
             'friction', 'heat', 'motion', 'state', 'load', 'loads'))
         given += [self.word(number) for number in (count, every, 0)]
         constants = self.constants_of_step(model, instance)
-        return self.call(model, instance, friction.advance if model.joints else advance, memory,
-                         *given, motion, heat, **constants)
+        return self.call(model, instance, advance, memory, *given, motion, heat, **constants)
 
     def step_of(self, model):
         """Define the function that does one step of a model under commands."""

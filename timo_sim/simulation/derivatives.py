@@ -39,8 +39,7 @@ def why_not_differentiable(scene: Scene) -> str:
         if not good:
             return f'{name} must be {wanted} for derivatives of steps, got {values[name]}'
     if scene.has_dry_friction:
-        return ('derivatives of steps need friction that builds up over a speed alone: there is '
-                'none while dry friction sticks')
+        return 'derivatives of steps need friction that builds up over a speed alone'
     return ''
 
 

@@ -32,8 +32,7 @@ from timo_sim.simulation.loads import (
 from timo_sim.simulation.snapshot import Sensors, Snapshot
 from timo_sim.simulation.warnings import DivergenceError
 from timo_sim.steps.derivatives import step_derivatives
-from timo_sim.steps.friction import steps_of
-from timo_sim.steps.steps import CHUNK, Samples
+from timo_sim.steps.steps import CHUNK, Samples, Steps
 
 # Deflection beyond which the run counts as diverged, in arm lengths.
 MOST_BENT = 10.0
@@ -124,7 +123,7 @@ class Simulator(Stateful, PointsOfArm):
 
     def _take(self, scene, model):
         self.scene, self.model = scene, model
-        self.integration = steps_of(self.model, scene.step, scene.friction, scene.bristles)
+        self.integration = Steps(self.model, scene.step, scene.bristles)
         travel = model.tip_travel[3:]
         self._travel = np.zeros(len(model.linear))  # of the tip by each number of the state
         self._travel[len(self._travel) // 2 - len(travel):len(self._travel) // 2] = travel
@@ -191,7 +190,7 @@ class Simulator(Stateful, PointsOfArm):
                 self._take(self.scene, self._model_with(self.scene, self.tip_load.tip))
             motion = self.scene.initial_motion(self.model)
             self._state = self.model.state(motion)
-            self.integration.reset()
+            self.integration.reset(motion)
             # Without speeds, deflection, loads, drive and gravity nothing changes until a command.
             self._resting = not (self.scene.load or self.scene.load.drive or motion[3:].any()
                                  or self.model.gravity.any())
@@ -296,7 +295,7 @@ class Simulator(Stateful, PointsOfArm):
         Advance as `step` does, and return the derivatives of the motion at the end.
 
         They are exact, through the stages of each step, for the `exact` formulation without axial
-        modes and without dry friction that sticks, with both axes of the carrier free or held and
+        modes and without presliding, with both axes of the carrier free or held and
         a rigid gear. They are by what acts of commands: limits, also of rates, are not
         differentiated. Rows and columns of coordinates that are held, locked or driven are 0.
 
