@@ -230,7 +230,7 @@ IMPLAUSIBLE = [
     ({'arm.section': {'shape': 'tube', 'width': 0.016, 'wall': 0.0015}},
      r'width = 0.016 m is not used: the diameter is .*height = 0.02 m \(the default\)'),
     ({'motor.coulomb_friction': 1.0, 'motor.coulomb_speed': 0.5, 'motor.coulomb_presliding': 0.2},
-     'motor.coulomb_speed = 0.5 is not used, since motor.coulomb_rest = 1')
+     'motor.coulomb_speed = 0.5 is not used, since motor.coulomb_static = 1')
 ]
 
 

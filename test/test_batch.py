@@ -193,8 +193,6 @@ def test_what_a_batch_cannot_do():
             ([{}, HELD], None, 'carrier.held must be the same'),
             ([MOTOR, {**MOTOR, 'motor.dc.current_limit': 5.0}], None,
              'motor.dc.current_limit < .inf must be the same'),
-            ([{'motor.coulomb_friction': 1.0}], None,
-             'friction without a coulomb_speed or coulomb_presliding is not'),
             ([], None, 'at least one'), ('paper', 0, 'n must be .*, got 0'),
             ([{}, {}], 3, 'n must be the number of scenes')):
         with pytest.raises(timo_sim.ParameterError, match=text):

@@ -290,13 +290,13 @@ def test_a_loss_against_outliers():
 def test_presliding_and_friction_at_rest_are_found():
     """From noise of 0.1 mm and 0.1 mrad; the squares have no jumps."""
     truth = {'motor.coulomb_friction': 0.02, 'motor.coulomb_presliding': 0.004,
-             'motor.coulomb_rest': 0.6}
+             'motor.coulomb_static': 0.6}
     scene = {**ARM, **MOTOR, **truth, 'motor.coulomb_speed': 0.3}
     record = noisy(predicted(scene, {'voltage': (T, VOLTAGE)}, ['shaft', 'tip_transverse']),
                    {'shaft': 1e-4, 'tip_transverse': 1e-4})
     guess = timo_sim.load_scene(scene, {
         'motor.coulomb_friction': 0.03, 'motor.coulomb_presliding': 0.002,
-        'motor.coulomb_rest': 0.8})
+        'motor.coulomb_static': 0.8})
     found = timo_sim.fit(guess, record, list(truth))
     assert found.values == pytest.approx(truth, rel=0.01)  # measured: 0.001
     assert not any('in jumps' in each for each in found.warnings)
@@ -444,10 +444,10 @@ def test_an_interrupt_loses_only_what_was_not_begun(phase, told):
 
 def test_an_estimate_near_the_limit_of_its_parameter_is_no_refusal():
     scene = {**ARM, **MOTOR, 'motor.coulomb_friction': 0.02, 'motor.coulomb_presliding': 0.004,
-             'motor.coulomb_speed': 0.3, 'motor.coulomb_rest': 0.995}
+             'motor.coulomb_speed': 0.3, 'motor.coulomb_static': 0.995}
     record = noisy(predicted(scene, {'voltage': (T, VOLTAGE)}, ['shaft']), {'shaft': 1e-4})
-    found = timo_sim.fit({**scene, 'motor.coulomb_rest': 0.9}, record, ['motor.coulomb_rest'])
-    assert found.values['motor.coulomb_rest'] > 0.99
+    found = timo_sim.fit({**scene, 'motor.coulomb_static': 0.9}, record, ['motor.coulomb_static'])
+    assert found.values['motor.coulomb_static'] > 0.99
     assert not any('refused' in each for each in found.warnings)
 
 

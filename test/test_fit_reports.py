@@ -100,7 +100,7 @@ def test_friction_that_builds_up_over_another_speed_is_friction_near_rest(assume
 
 def test_a_shaft_that_rests_as_on_a_spring_has_presliding():
     dry = {'motor.coulomb_friction': 0.06, 'motor.coulomb_speed': 0.2}
-    measured = record({**dry, 'motor.coulomb_presliding': 0.02, 'motor.coulomb_rest': 0.6})
+    measured = record({**dry, 'motor.coulomb_presliding': 0.02, 'motor.coulomb_static': 0.6})
     found = fit(measured, [*FREE, 'motor.coulomb_friction'], more=dry)
     assert found.suspects[0].name.startswith('presliding of the motor'), found.suspects
     assert found.suspects[0].share > 0.9

@@ -77,12 +77,10 @@ def test_force_on_a_held_carrier_is_the_rate_of_momentum_minus_the_loads(formula
     assert error < 2e-9 * np.abs(run.effort).max()
 
 
-@pytest.mark.parametrize('presliding', [0.0, 1e-3])
-def test_efforts_agree_between_steps_log_and_run(presliding, tmp_path):
+def test_efforts_agree_between_steps_log_and_run(tmp_path):
     """Also for a shaft with dry friction, which a run computes from its motion."""
     scene = timo_sim.load_scene({}, {
         **SCENES['y held'], 'motor.coulomb_friction': 2.0, 'initial.shaft': 0.0,
-        'motor.coulomb_presliding': presliding,
         'load.tip_force_y.harmonic.amplitude': [2.0],
         'load.tip_force_y.harmonic.frequency': [0.7]})
     run, simulator = timo_sim.simulate(scene, 2.0), Simulator(scene)
@@ -91,9 +89,6 @@ def test_efforts_agree_between_steps_log_and_run(presliding, tmp_path):
         simulator.advance(1)
         efforts.append(simulator.effort)
         strains.append(simulator.sensors.root_strain)
-    held = np.abs(run.shaft_velocity[1:]) < 1e-7
-    assert 300 < held.sum() < 1700 or presliding
-    # Measured: 3e-6, in steps in which the shaft moves at less than 1e-7 rad/s but is not held.
     assert np.abs(run.effort[1:] - efforts).max() < 1e-5 * np.abs(efforts).max()
     assert np.abs(run.root_strain()[1:] - strains).max() < 1e-5 * np.abs(strains).max()
     again = timo_sim.open_log(run.save(tmp_path / 'run.mcap'))

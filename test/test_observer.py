@@ -182,7 +182,6 @@ def test_a_wrong_model_is_a_warning():
     ({f'sensor.{name}.{kind}': 0.0 for name in ('encoder', 'root_strain')
       for kind in ('noise', 'resolution')}, {}, 'here none, got .none'),
     ({}, {'sensors': ['encode']}, "sensors must be one of .*, encoder, rotor, got 'encode'"),
-    ({'motor.coulomb_friction': 0.1}, {}, 'friction that builds up over a speed'),
     ({'motor.shaft': 'locked'}, {}, 'where only the arm moves it must be given'),
     ({}, {'disturbance': {'torqu': (1.0, 1.0)}}, 'disturbance has torqu, .* you mean torque'),
     ({}, {'disturbance': {'torque': 1.0}}, 'time of a disturbance must be a list of'),

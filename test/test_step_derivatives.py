@@ -1,7 +1,7 @@
 # Copyright 2026 The timo_sim authors
 # SPDX-License-Identifier: Apache-2.0
 
-"""Derivatives of steps against differences of steps, and what they are refused for."""
+"""Derivatives of steps against differences of steps."""
 
 from copy import copy
 
@@ -114,12 +114,10 @@ def test_a_simulator_goes_on_as_by_step_and_has_the_derivatives_of_what_acts():
     assert first - less == pytest.approx(0.5 * found.by_input[:, 0], rel=1e-3, abs=1e-9)
 
 
-@pytest.mark.parametrize('values, words', [
-    ({'motor.coulomb_friction': 1.0}, 'friction that builds up'),
-    ({'payload.time': [0.01], 'payload.mass': [3.0], 'payload.inertia': [0.6]}, 'step 10')])
-def test_what_has_no_derivatives_is_refused(values, words):
-    simulator = timo_sim.Simulator(timo_sim.load_scene({}, values))
-    with pytest.raises(timo_sim.ParameterError, match=words):
+def test_an_end_effector_that_changes_is_refused():
+    simulator = timo_sim.Simulator(timo_sim.load_scene({}, {
+        'payload.time': [0.01], 'payload.mass': [3.0], 'payload.inertia': [0.6]}))
+    with pytest.raises(timo_sim.ParameterError, match='step 10'):
         simulator.step_derivatives(duration=0.02)
     assert simulator.steps == 0
 

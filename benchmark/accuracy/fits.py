@@ -356,7 +356,7 @@ def lacking(effect, seed, duration):
     more = {'friction': {'motor.coulomb_friction': 0.03 * size},
             'direction': {'motor.coulomb_asymmetry': 0.3 * size**0.5},
             'near rest': {'motor.coulomb_speed': size},
-            'presliding': {'motor.coulomb_presliding': 0.02 * size, 'motor.coulomb_rest': 0.7},
+            'presliding': {'motor.coulomb_presliding': 0.02 * size, 'motor.coulomb_static': 0.7},
             'first angle': {'initial.shaft': 0.05 * size},
             'gear': {**gear, 'motor.gear.stiffness': 10.0 * size},
             'backlash': {**gear, 'motor.gear.backlash': 0.02 * size},

@@ -42,7 +42,7 @@ SCORES = ROOT / 'doc' / 'real_arm' / 'scores.json'
 
 ARM = ['arm.young_modulus', 'arm.damping_ratio']
 FRICTION = ['viscous_friction', 'coulomb_friction', 'coulomb_speed', 'coulomb_asymmetry',
-            'coulomb_presliding', 'coulomb_rest']
+            'coulomb_presliding', 'coulomb_static']
 SHAFT = ['motor.shaft_inertia', *(f'motor.{name}' for name in FRICTION)]
 ROTOR = ['motor.rotor.inertia', *(f'motor.rotor.{name}' for name in FRICTION)]
 DRIVES = {  # what is free for each kind of input
@@ -52,7 +52,7 @@ DRIVES = {  # what is free for each kind of input
     'force_x': [*(f'carrier.{name}' for name in FRICTION), 'force_x.gain', 'force_x.lag',
                 'gravity[0]']}
 GEAR = ['motor.gear.stiffness', 'motor.gear.damping', 'motor.gear.backlash']
-PRESLIDING, REST = ('coulomb_presliding', 'coulomb_rest'), 0.5
+PRESLIDING, REST = ('coulomb_presliding', 'coulomb_static'), 0.5
 TIME = 0.2  # presliding begins at coulomb_speed times this [s]
 MODELS = 'rigid gear', 'rigid gear, presliding', 'elastic gear', 'elastic gear, presliding'
 INITIAL = 'initial.modal_coordinates[0]', 'initial.modal_rates[0]'
@@ -134,10 +134,10 @@ def models_of(case, scene, record, until):
         models[name] = values, [each for each in names if not each.endswith(PRESLIDING)]
         if len(models[name][1]) < len(names):
             start = scene.vary(values).values
-            body, = {each.removesuffix('.coulomb_rest') for each in names
-                     if each.endswith('.coulomb_rest')}
+            body, = {each.removesuffix('.coulomb_static') for each in names
+                     if each.endswith('.coulomb_static')}
             models[f'{name}, presliding'] = {
-                **values, f'{body}.coulomb_rest': REST,
+                **values, f'{body}.coulomb_static': REST,
                 f'{body}.coulomb_presliding': TIME * start[f'{body}.coulomb_speed']}, names
     return models
 
@@ -181,7 +181,7 @@ def bounds_of(names, scene, before=None):
     """
     found = {name: DELAYS for name in names if name.endswith('.delay')}
     for name in names:
-        if name.endswith('.coulomb_rest'):
+        if name.endswith('.coulomb_static'):
             found[name] = 0.01, 1.0
             continue
         guess = 1.0 if name.endswith('.gain') else scene.values.get(name, 0.0)

@@ -229,8 +229,13 @@ def _cell(draw, number, kind, elements):
         values['carrier.viscous_friction'] = draw.log(1e-3, 3.0) * omega * mass
         values['motor.viscous_friction'] = draw.log(1e-3, 3.0) * omega * mass * length**2
     if draw.coulomb:
-        values['carrier.coulomb_friction'] = draw.log(1e-3, 1.0) * stiffness * length
-        values['motor.coulomb_friction'] = draw.log(1e-3, 1.0) * stiffness * length**2
+        for body, inertia, way in (('carrier', mass * (draw.carrier + draw.motor), length),
+                                   ('motor', mass * length**2 * draw.shaft, 1.0)):
+            limit = draw.log(1e-3, 1.0) * stiffness * length**2 / way
+            values[f'{body}.coulomb_friction'] = limit
+            # At least what steps resolve for joints without the arm.
+            values[f'{body}.coulomb_presliding'] = max(
+                1e-4 * way, 6.0 * step**2 * limit / inertia)
     useful = [channel for channel in CHANNELS if channel.startswith('tip') or (
         draw.joint == 'free' and not draw.spun_up if channel == 'torque' else
         draw.held not in ('both', channel[-1]))]

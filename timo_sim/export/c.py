@@ -48,6 +48,7 @@ extern "C" {
 #define NAME_INPUTS $inputs /* count of inputs */
 #define NAME_OUTPUTS $outputs /* count of outputs */
 #define NAME_PARAMETERS $parameters /* count of parameters */
+#define NAME_MOTION $motion /* count of numbers of a motion */
 
 enum name_code {
 $codes
@@ -88,7 +89,16 @@ int name_get_parameter(const name *instance, int parameter, double *value);
 
 /* Advance by some time steps, under constant inputs. */
 int name_step(name *instance, int64_t steps);
-$derivatives
+
+/*
+ * Get the derivatives of the motion after the next step, which is not done, under the inputs of
+ * now: values[k][i] is that of number i by number k of the motion now or, from NAME_MOTION on, by
+ * input k - NAME_MOTION. A motion is carrier x, y and shaft, the modal coordinates, then the rate
+ * of each; rows and columns of what is held, locked or driven are 0.
+ */
+int name_step_derivatives(name *instance,
+                          double values[NAME_MOTION + NAME_INPUTS][NAME_MOTION]);
+
 /* Get an output, or all of them, at the end of the last step; the first call computes them. */
 int name_get_output(name *instance, int output, double *value);
 int name_get_outputs(name *instance, double values[NAME_OUTPUTS]);
@@ -111,19 +121,6 @@ const char *name_parameter_unit(int parameter);
 #endif
 
 #endif
-"""
-
-_DERIVATIVES = """
-#define NAME_MOTION $motion /* count of numbers of a motion */
-
-/*
- * Get the derivatives of the motion after the next step, which is not done, under the inputs of
- * now: values[k][i] is that of number i by number k of the motion now or, from NAME_MOTION on, by
- * input k - NAME_MOTION. A motion is carrier x, y and shaft, the modal coordinates, then the rate
- * of each; rows and columns of what is held, locked or driven are 0.
- */
-int name_step_derivatives(name *instance,
-                          double values[NAME_MOTION + NAME_INPUTS][NAME_MOTION]);
 """
 
 _MAIN = """\
@@ -298,8 +295,7 @@ def _header(interface, made, step, target, name):
         saved=made.saved, inputs=len(inputs), outputs=len(outputs), parameters=len(parameters),
         codes=_enum(name, [Quantity(code.name, '', TEXTS[code]) for code in Code]),
         input_list=_enum(name, inputs), output_list=_enum(name, outputs),
-        parameter_list=_enum(name, parameters),
-        derivatives=_fill(_DERIVATIVES, name, motion=made.motion) if made.motion else '')
+        parameter_list=_enum(name, parameters), motion=made.motion)
 
 
 def _main(interface: Interface, step: float, name: str) -> str:

@@ -132,7 +132,8 @@ def plant_of(simulator: Simulator) -> Packed:
         np.array([body.shaft_friction, *body.coulomb[1]]),
         np.array([model.gear.inertia * model.rotor] if model.gear else [])
         .reshape(-1, model.size // 2), *_strains(model),
-        model.state(scene.initial_motion(model)), simulator.load]))
+        model.state(scene.initial_motion(model)), simulator.load,
+        simulator.integration.memory.copy()]))
 
 
 def _strains(model):

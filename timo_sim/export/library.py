@@ -20,9 +20,8 @@ from timo_sim.compiled.functions import Constants, WIDTH
 from timo_sim.export.constants import Interface, plant_of
 from timo_sim.model.functions import tips
 from timo_sim.model.layout import LOADS, STEP_LOADS
-from timo_sim.simulation.derivatives import unit_loads_of, why_not_differentiable
+from timo_sim.simulation.derivatives import unit_loads_of
 from timo_sim.simulation.loads import Actuators
-from timo_sim.steps import friction
 from timo_sim.steps import instance as steps
 from timo_sim.steps.bristles import MEMORY
 from timo_sim.steps.derivatives import entry_for
@@ -58,11 +57,9 @@ class _Model:
         self.plant, self.loads = plant_of(simulator), pack(scene.load.rows(scene.step))
         self.tables, self.actuators = model.packed, Actuators(scene.values).packed
         self.bristles = simulator.integration.bristles
-        self.joints = getattr(simulator.integration, 'joints', None)
-        # What steps are differentiated by, if they are.
+        # What steps are differentiated by.
         self.differentiate, self.places = entry_for(model), model.free_places
-        self.units = None if why_not_differentiable(scene) else unit_loads_of(
-            scene.values, [each.column for each in interface.inputs])
+        self.units = unit_loads_of(scene.values, [each.column for each in interface.inputs])
         outputs = steps.MODAL + 2 * len(model.modes) + 1
         self.instance = pack(Instance._make([
             np.zeros(5), *3 * [np.zeros(LOADS)], *2 * [np.zeros(MEMORY)], *2 * [np.zeros(1)],
@@ -218,8 +215,7 @@ class _Body:
             'friction', 'heat', 'motion', 'state', 'load', 'loads'))
         given += [self.word(number) for number in (count, every, 0)]
         constants = self.constants_of_step(model, instance)
-        return self.call(model, instance, friction.advance if model.joints else advance, memory,
-                         *given, motion, heat, **constants)
+        return self.call(model, instance, advance, memory, *given, motion, heat, **constants)
 
     def step_of(self, model):
         """Define the function that does one step of a model under commands."""
@@ -387,8 +383,6 @@ class _Body:
 
     def derivatives(self):
         own = self.models[0]
-        if own.units is None:
-            return
         instance, values = self.public('step_derivatives', _POINTER)
         # The step is not done, so its commands begin no lines: actuators are as before.
         _, actuators = self.constants(own, instance, 'actuators')
@@ -479,7 +473,7 @@ class Library(NamedTuple):
     content: bytes
     size: int   # of the memory of an instance [B]
     saved: int  # count of numbers of a saved state
-    motion: int  # count of numbers of a motion of which there are derivatives, 0 without
+    motion: int  # count of numbers of a motion
 
 
 def library(simulators: list[Any], interface: Interface, target: str, name: str) -> Library:
@@ -503,4 +497,4 @@ def library(simulators: list[Any], interface: Interface, target: str, name: str)
             function.linkage = 'internal'
     return Library(target_machine.emit_object(module), body.size,
                    sum(model.saved for model in models),
-                   0 if models[0].units is None else simulators[0].model.size)
+                   simulators[0].model.size)

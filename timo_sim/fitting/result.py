@@ -495,10 +495,8 @@ def fit(scene: SceneLike | None, record: RecordLike | Sequence[RecordLike], free
             profile=k in profiles)
     predictions = []
     if jumps:
-        cause, remedy = (', as with dry friction', ', or friction with a coulomb_presliding'
-                         ) if start.friction.any() else ('', '')
-        doubts.append(f'the run depends on {", ".join(jumps)} in jumps{cause}, so the intervals '
-                      f'may be too small: try a shorter window{remedy}')
+        doubts.append(f'the run depends on {", ".join(jumps)} in jumps, so the intervals may be '
+                      'too small: try a shorter window')
     doubts += _find_doubts(estimates, problems[0], search.values(x, 0))
     series: dict[tuple[int, str], list[np.ndarray]] = {}
     for (k, name, _), r in zip(search.series(), residuals):
@@ -581,9 +579,7 @@ def _expect(search, run, columns, quick):
             f'start some {seconds:.2g} s, or ten times that if the model lacks something'
             + ('' if quick else '; what follows the search may take as long again'))
     if seconds > _LONG:
-        text += '; for less, fit fewer parameters to a part of the record, with fewer modes' + (
-            ', and give friction a coulomb_speed: where it sticks runs are slower, and searches '
-            'find no smooth minimum' if search.problems[0].scene.friction.any() else '')
+        text += '; for less, fit fewer parameters to a part of the record, with fewer modes'
     return text
 
 

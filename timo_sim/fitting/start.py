@@ -97,7 +97,7 @@ class _ArmOnShaft:
         acceleration = np.gradient(speed, run.t)[some]
         loads = run.loads()[some]
         add_bristles(run.scene, run.model, run.values[some], loads)
-        joints = joints_of_run(run.scene, run.model, run.values[some], loads)
+        joints = joints_of_run(run.model, run.values[some], loads)
         torque = joints.reactions[:, 2]  # without that of the shaft itself, it is that of the arm
         torque -= run.scene.values['motor.shaft_inertia'] * acceleration
         sign = np.tanh(speed / (_SLOW * np.abs(speed).max() + _TINY))

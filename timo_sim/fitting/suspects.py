@@ -34,7 +34,7 @@ _BACKLASH = 0.003, 0.01, 0.03  # [rad]
 _GRAVITY = 0.5, 5.0  # [m/s2]
 _DELAYS = 1, 5  # steps
 _EXCESS = 0.1, 0.4, 1.0  # of the largest value of an input over its limit, relative to this
-_REST = 0.02, 0.1  # speeds over which friction builds up, of that of the body
+_REST = 0.02, 0.1, 0.5  # speeds over which friction builds up, of that of the body
 _FACTORS = -5.0, 5.0  # logarithms of factors of such a speed, to which they are tried
 _STIFF = 5.0  # compliance of a gear that is tried, in step**2 / inertia of the shaft
 _BESIDE = 0.1  # relative distance of a resonance from the modes of the model
@@ -136,7 +136,7 @@ def suspects(search: Search, jacobian: np.ndarray, residuals: np.ndarray) -> lis
             # As Schwarz's criterion (BIC) weighs further parameters.
             left_over = (rest @ rest) * len(rest)**(count / len(rest))
             explained = float(1.0 - left_over / (residuals @ residuals))
-            # Where friction sticks, runs jump, and a fit may end where it begins.
+            # Where friction turns, runs bend, and a fit may end where it begins.
             if explained > share:
                 share, white, sizes = explained, is_white(rest), fitted
         found.append(Suspect(effect.name, share, white, effect.advice.format(sizes[0])))
@@ -224,9 +224,9 @@ def _effects(search: Search) -> Iterator[_Effect]:
         if own[name] and own[rest] and not own[way := f'{body}.coulomb_presliding']:
             yield _Effect(
                 name=f'presliding of the {body}, which rests as on a spring',
-                advice=f'set {way} to about {{:.2g}} and {body}.coulomb_rest to 0.5, and free '
+                advice=f'set {way} to about {{:.2g}} and {body}.coulomb_static to 0.5, and free '
                        'both', change=lambda _, size, part=0.5, name=way: {
-                           name: size, name.replace('presliding', 'rest'): part} if size else {},
+                           name: size, name.replace('presliding', 'static'): part} if size else {},
                 trials=[[_PRESLIDING * own[rest]]], low=_LEAST, shape=[0.5])
     for name in (name for name in PARAMETERS if name.endswith('.coulomb_asymmetry')):
         if own[name.replace('asymmetry', 'friction')] and not own[name]:
@@ -285,7 +285,7 @@ def _gear(own, compliance, damping=0.1, inertias=1.0):
                'motor.gear.stiffness': 1.0 / compliance,
                'motor.gear.damping': 2.0 * damping * np.sqrt(mean / compliance)}
     for name, factor in (('friction', 1.0 / turns), ('speed', turns), ('presliding', turns),
-                         ('asymmetry', 1.0), ('rest', 1.0)):  # it goes to the rotor
+                         ('asymmetry', 1.0), ('static', 1.0)):  # it goes to the rotor
         shaft = f'motor.coulomb_{name}'
         changes |= {shaft: PARAMETERS[shaft].default,
                     f'motor.rotor.coulomb_{name}': factor * own[shaft]}

@@ -161,6 +161,11 @@ class Formulation(ABC):
         return np.column_stack([*np.eye(2, self.size // 2), self.rotor])
 
     @property
+    def joint_turns(self) -> np.ndarray:
+        """The same of all joints with friction, those and the shaft, (3 + N, 4)."""
+        return np.column_stack([self.driven_turns, np.eye(self.size // 2)[2]])
+
+    @property
     def gear_place(self) -> int:
         """Place of the gear's coordinate, its twist times `sqrt(J_r)`, in a motion (T60)."""
         return self.size // 2 - self.axial - 1

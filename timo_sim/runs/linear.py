@@ -176,14 +176,14 @@ _LEFT_OUT = 0.02  # largest share of a static response that rates may lack witho
 @checked(at=NUMBERS, contact=CONTACT)
 def linearize(scene: SceneLike, at: np.ndarray | None = None, contact: str = '') -> LinearModel:
     """
-    Return the linear model of a scene about a state of rest, without dry friction that sticks.
+    Return the linear model of a scene about a state of rest.
 
-    Friction that builds up over a speed is viscous about rest: its limit over that speed. With
-    presliding it is a spring: its limit over that way. A gear with backlash is in contact where
-    the equilibrium loads it; elsewhere `contact` chooses. States
-    are free coordinates, then their rates. Inputs are forces on carrier, tip and arm in world
-    axes, torques on shaft and tip, the voltage at a DC motor; without those that have no effect.
-    Outputs are carrier and shaft, tip in world axes, deflection and rotation of the tip, its angle
+    Friction that builds up over a speed is viscous about rest: its limit over that speed. Dry
+    friction is the spring of its presliding: its limit over that way. A gear with backlash is in
+    contact where the equilibrium loads it; elsewhere `contact` chooses. States are free
+    coordinates, then their rates. Inputs are forces on carrier, tip and arm in world axes, torques
+    on shaft and tip, the voltage at a DC motor; without those that have no effect. Outputs are
+    carrier and shaft, tip in world axes, deflection and rotation of the tip, its angle
     as seen from the root, strain at the root, rates of carrier and shaft, angle and speed of the
     rotor of an elastic gear, and what an IMU at the tip measures: angular velocity, and specific
     force along (`..._along_...`) and across the tip.
@@ -321,11 +321,11 @@ def warn_of_friction(scene: Scene, model: Formulation) -> None:
 
 def _springs(model, bristles, places):
     """Yield springs of `Scene.bristles` about rest: unit of load, (LOADS,), and its row of A."""
-    half = model.size // 2
-    turns = np.column_stack([model.driven_turns, np.eye(half)[2]])[places[:len(places) // 2]]
-    for column, turn, (forward, backward, reach) in zip(COLUMNS, turns.T, bristles):
+    turns = model.joint_turns[places[:len(places) // 2]]
+    for column, turn, (forward, backward, reach, more, _) in zip(COLUMNS, turns.T, bristles):
         if reach:
-            yield np.eye(LOADS)[column], 0.5 * (forward + backward) / reach * turn
+            spring = 0.5 * (forward + backward) * (1.0 + more) / reach
+            yield np.eye(LOADS)[column], spring * turn
 
 
 def state_matrix(model: Formulation, at: np.ndarray, load: np.ndarray,

@@ -100,8 +100,8 @@ def modes(scene: SceneLike, speed: float | None = None, contact: str = '') -> Vi
     with `initial.equilibrium` where the scene starts, under its loads of t = 0, otherwise where it
     comes to rest under gravity. With a speed, the carrier is held and the shaft turns at exactly
     this speed: the vibrations are those of the clamped arm in the axes of the shaft, about its
-    steady rotation, or at speed 0 at the scene's initial angle. Dry friction that sticks is left
-    out, that with presliding is a spring. `contact` is that of a gear with backlash, as of
+    steady rotation, or at speed 0 at the scene's initial angle. Dry friction is the
+    spring of its presliding. `contact` is that of a gear with backlash, as of
     `linearize`.
 
     Raises

@@ -212,7 +212,7 @@ class Run(MotionFields, PointsOfArm):
                              'true for ~/root_strain')
         loads = self.loads()
         add_bristles(self.scene, self.model, self.values, loads)
-        return [joints_of_run(self.scene, model, self.values[part], loads[part])
+        return [joints_of_run(model, self.values[part], loads[part])
                 for model, part in self._pieces]
 
     def _of_joints(self, name):

@@ -17,6 +17,7 @@ import numpy as np
 from timo_sim.compiled.functions import WIDTH
 from timo_sim.model.layout import ACCELERATION, ANGLE, INPUTS, LOADS, STEP_LOADS
 from timo_sim.scene.parameters import StepError
+from timo_sim.steps.bristles import mobilities, MORE, REACH, SLOW, springs_of
 from timo_sim.steps.loads import add_scene_loads, NEAR, POINT, SceneLoads
 
 # Columns of the inputs that a scene may prescribe over time, by name.
@@ -181,29 +182,25 @@ _CONTACT = 1.0
 
 def check_slope(scene: Any) -> None:
     """Raise StepError if steps are too long for friction over a speed or way, or for backlash."""
-    limit, speed, asymmetry = np.array(scene.manipulator.coulomb)[[0, 0, 1, 2]].T
     gear, bristles = scene.manipulator.gear, scene.bristles
-    if not limit.any() and not bristles.any() and not (gear and gear.backlash):
+    # By joint as bristles: carrier x, y, rotor or shaft, shaft of an elastic gear.
+    limit, speed, asymmetry = np.array(scene.manipulator.coulomb)[
+        [0, 0, 2 if gear else 1, 1]].T * [[1.0, 1.0, 1.0, bool(gear)], 4 * [1.0], 4 * [1.0]]
+    if not limit.any() and not bristles[:, REACH].any() and not (gear and gear.backlash):
         return
-    model, motion = scene.build(), scene.initial_motion()
-    free = [*model.axes, *range(2 + model.driven, model.size // 2)]
-    # The steepest slope of t (1 + a t) is at most 1 + 0.52 a times the one at rest.
-    root = np.sqrt(limit / speed * (1.0 + 0.52 * np.abs(asymmetry)))[:, np.newaxis]
-    joints = np.vstack([np.eye(3, model.size // 2), model.rotor])[:, free]
-    # Of bristles in their order: the rotor, if there is one, before the shaft.
-    spring = np.sqrt(np.divide(bristles[:, :2].max(axis=1), bristles[:, 2], out=np.zeros(4),
-                               where=bristles[:, 2] > 0.0))[[0, 1, 3, 2] if gear else [0, 1, 2, 3]]
-    rate = contact = bristle = 0.0
-    # Along the arm the carrier is less mobile than across it.
-    for motion[2] in (0.0, 0.5 * np.pi):
-        mobility = joints @ np.linalg.inv(
-            model.mass_matrix(motion)[0][np.ix_(free, free)]) @ joints.T
-        rate = max(rate, *np.linalg.eigvalsh(root * mobility * root.T), 0.0)
-        bristle = max(bristle, *np.sqrt(np.maximum(np.linalg.eigvalsh(
-            np.outer(spring, spring) * mobility), 0.0)))
-        if gear and gear.backlash:  # its twist is the rotor's angle less that of the shaft
-            contact = max(contact, np.sqrt(gear.stiffness * (
-                mobility[2, 2] + mobility[3, 3] - 2.0 * mobility[2, 3])))
+    mobile = mobilities(scene.build(), scene.initial_motion())
+    # The steepest slope of t (1 + a t) is at most 1 + 0.52 a times the one at rest, and that of
+    # 1 / (1 + x^2) is 0.65.
+    slope = np.sqrt(limit / speed * (1.0 + 0.52 * np.abs(asymmetry)) + 0.65 * bristles[
+        :, :2].max(axis=1) * np.abs(bristles[:, MORE]) / bristles[:, SLOW])
+    rate = max(0.0, *(np.linalg.eigvalsh(np.outer(slope, slope) * each)[-1] for each in mobile))
+    spring = np.sqrt(springs_of(bristles))
+    bristle = max(0.0, *(np.linalg.eigvalsh(np.outer(spring, spring) * each)[-1]
+                         for each in mobile))**0.5
+    contact = 0.0
+    if gear and gear.backlash:  # its twist is the rotor's angle less that of the shaft
+        contact = max(np.sqrt(gear.stiffness * (each[2, 2] + each[3, 3] - 2.0 * each[2, 3]))
+                      for each in mobile)
     for fastest, most, what, name, power in (
             (contact, _CONTACT, 'backlash of a gear with this stiffness', 'motor.gear.stiffness',
              -2),
@@ -212,6 +209,8 @@ def check_slope(scene: Any) -> None:
             (rate, _STABLE, 'Coulomb friction with this slope', 'coulomb_speed', 1)):
         if fastest * scene.step > most:
             longest = 0.99 * most / fastest
+            default = ' (as large as 0.001 rad or 0.0001 m by default)' * (power == 2)
             raise StepError(f'integrator.step = {scene.step:g} s must be at most {longest:.3g} s '
                             f'for {what}: take that, or a {name} '
-                            f'{(scene.step / longest)**power:.3g} times as large', longest)
+                            f'{(scene.step / longest)**power:.3g} times as large{default}',
+                            longest)

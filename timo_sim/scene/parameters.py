@@ -190,12 +190,13 @@ def _asymmetry(body, name):
                      '1 - a times as large', low=-1.0, high=1.0)
 
 
-def _presliding(body, name, unit):
+def _presliding(body, name, unit, least):
     return [
         _not_negative(f'{body}.coulomb_presliding', 0.0, unit, f'way of the {name} over which '
-                      'this friction builds up after each reversal, as of a spring; 0: none'),
-        Parameter(f'{body}.coulomb_rest', 1.0, '', 'part of this friction that does so, and holds '
-                  f'the {name} at rest; the rest builds up over coulomb_speed', low=0.0, high=1.0)]
+                      'this friction builds up after each reversal, as of a spring; 0: '
+                      f'{least}, unless there is a coulomb_speed'),
+        Parameter(f'{body}.coulomb_static', 1.0, '', f'this friction of the {name} at rest over '
+                  'that in motion, to which it comes over coulomb_speed', low=0.0, high=10.0)]
 
 
 def _load(channel, unit, meaning):
@@ -296,9 +297,9 @@ _ALL = [
                   'carrier per speed, along world x and y', runtime=True),
     _not_negative('carrier.coulomb_friction', 0.0, 'N', 'largest Coulomb friction force on the '
                   'carrier, the same along world x and y'),
-    _not_negative('carrier.coulomb_speed', 0.0, 'm/s', 'speed v_s over which it builds up, as '
-                  'tanh(v / v_s); 0: it acts in full at any speed, and holds the carrier at rest'),
-    *_presliding('carrier', 'carrier', 'm'),
+    _not_negative('carrier.coulomb_speed', 0.0, 'm/s', 'speed v_s over which it builds up '
+                  'without presliding, as tanh(v / v_s)'),
+    *_presliding('carrier', 'carrier', 'm', '1e-4 m'),
     _limit('carrier.force_limit', 'N', 'largest force along an axis that commands can apply'),
     _limit('carrier.force_rate_limit', 'N/s', 'largest rate at which that force changes'),
     Parameter('carrier.held', 'none', '', 'axes of the world along which the carrier cannot move',
@@ -309,9 +310,10 @@ _ALL = [
                   'shaft per speed', runtime=True),
     _not_negative('motor.coulomb_friction', 0.0, 'N m', 'largest Coulomb friction torque on the '
                   'shaft'),
-    _not_negative('motor.coulomb_speed', 0.0, 'rad/s', 'speed over which it builds up'),
+    _not_negative('motor.coulomb_speed', 0.0, 'rad/s', 'speed over which it builds up '
+                  'without presliding'),
     _asymmetry('motor', 'shaft'),
-    *_presliding('motor', 'shaft', 'rad'),
+    *_presliding('motor', 'shaft', 'rad', '1e-3 rad'),
     _not_negative('motor.gear.stiffness', 0.0, 'N m/rad', 'torsional stiffness of the gear, at '
                   'the shaft; the torque then acts on the rotor; 0: the gear is rigid'),
     _not_negative('motor.gear.damping', 0.0, 'N m s/rad', 'damping beside this stiffness'),
@@ -324,9 +326,9 @@ _ALL = [
     _not_negative('motor.rotor.coulomb_friction', 0.0, 'N m', 'largest Coulomb friction torque on '
                   'this rotor'),
     _not_negative('motor.rotor.coulomb_speed', 0.0, 'rad/s', 'speed of the rotor over which it '
-                  'builds up'),
+                  'builds up without presliding'),
     _asymmetry('motor.rotor', 'rotor'),
-    *_presliding('motor.rotor', 'rotor', 'rad'),
+    *_presliding('motor.rotor', 'rotor', 'rad', '1e-3 rad of the shaft'),
     _limit('motor.torque_limit', 'N m', 'largest torque that commands can apply'),
     _limit('motor.torque_rate_limit', 'N m/s', 'largest rate at which that torque changes'),
     _not_negative('motor.dc.resistance', 0.0, 'ohm', 'resistance of a DC motor that is commanded '

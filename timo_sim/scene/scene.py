@@ -45,6 +45,8 @@ _MIN_SLENDERNESS = 3.0  # length over height; a shorter arm is a block, not a be
 # Phases of an axial vibration in a step [rad]: above which a finer run has it critically damped,
 # above which a scene has it slowed down (bent arms diverged from 0.88 on), and to which.
 AXIAL_PHASE, _LEFT, _SLOWED = 4.0, 0.7, 0.5
+# Presliding where none is given, seen from the shaft [m, rad].
+_PRESLIDING = {'carrier': 1e-4, 'motor': 1e-3, 'motor.rotor': 1e-3}
 _OF_MATERIAL = 'density', 'young_modulus', 'shear_modulus'
 _MODAL = 'initial.modal_coordinates', 'initial.modal_rates'
 _JOINTS = 'carrier_x', 'carrier_y', 'shaft'
@@ -196,48 +198,34 @@ class Scene:
         return payloads_of(self.values)
 
     @cached_property
-    def friction(self) -> np.ndarray:
-        """
-        Largest dry friction without presliding, of carrier x, y [N] and shaft [N m], (3,).
-
-        It is 0 for a joint that is not free. With an elastic gear the last is that of the rotor.
-        """
-        return np.array([0.0 if rests or slow else limit
-                         for limit, _, slow, rests, _ in self._dry_friction()[:3]])
-
-    @cached_property
     def bristles(self) -> np.ndarray:
         """
-        Dry friction with presliding, see `steps.friction.Joints`, shape (4, 3).
+        Dry friction of the joints, which that over a speed is not, shape (4, 5).
 
         Rows are of carrier x, y, of the shaft or, with an elastic gear, the rotor, and of the
-        shaft of an elastic gear; 0 for joints without. Columns are friction in forward and in
-        backward motion [N, N m], and presliding [m, rad].
+        shaft of an elastic gear. Columns are friction in forward and in backward motion [N, N m],
+        presliding [m, rad], by how much of itself friction is more at rest, and the speed over
+        which that goes [m/s, rad/s]; 0, 0, 0, 0, 1 for joints without.
         """
-        return np.array([
-            [rest * limit * (1.0 + uneven), rest * limit * (1.0 - uneven), reach]
-            if limit * rest * reach else np.zeros(3)
-            for limit, uneven, _, reach, rest in self._dry_friction()])
-
-    @property
-    def has_dry_friction(self) -> bool:
-        """Whether a joint has dry friction, which depends on more than its speed."""
-        return bool(self.friction.any() or self.bristles.any())
-
-    def _dry_friction(self):
-        # Limit, asymmetry, speed, presliding and its part, by row of `bristles`; seen from the
-        # shaft.
         values, gear, found = self.values, bool(self.manipulator.gear), []
         bodies = ['carrier', 'carrier', 'motor.rotor' if gear else 'motor', 'motor']
         free = [*(place is None for place in self.constraints.carrier),
                 not self.constraints.driven, gear]
         for body, moves in zip(bodies, free):
             ratio = values['motor.dc.gear_ratio'] if body == 'motor.rotor' else 1.0
-            found.append((
-                moves * ratio * values[f'{body}.coulomb_friction'],
-                values.get(f'{body}.coulomb_asymmetry', 0.0), values[f'{body}.coulomb_speed'],
-                values[f'{body}.coulomb_presliding'] / ratio, values[f'{body}.coulomb_rest']))
-        return found
+            limit, speed, reach, rest = (values[f'{body}.coulomb_{name}'] for name in (
+                'friction', 'speed', 'presliding', 'static'))
+            uneven = values.get(f'{body}.coulomb_asymmetry', 0.0)
+            found.append([
+                ratio * limit * (1.0 + uneven), ratio * limit * (1.0 - uneven),
+                reach / ratio or _PRESLIDING[body], rest - 1.0, speed / ratio or 1.0]
+                if moves and limit and (reach or not speed) else [0.0, 0.0, 0.0, 0.0, 1.0])
+        return np.array(found)
+
+    @property
+    def has_dry_friction(self) -> bool:
+        """Whether a joint has dry friction, which depends on more than its speed."""
+        return bool(self.bristles[:, :2].any())
 
     def vary(self, overrides: Mapping[str, Any]) -> Scene:
         """Return the scene with other values by name, nested or dotted; else ParameterError."""
@@ -253,7 +241,7 @@ class Scene:
         """
         Return the scene that begins with the state of a run of the same bodies at a sample, t [s].
 
-        The scene's own loads start again from t = 0, and springs of presliding are relaxed. Raises
+        The scene's own loads start again from t = 0, and joints that move have slid before. Raises
         ParameterError if the run has no sample then or other modes, or the scene has a driven
         shaft.
 
@@ -532,13 +520,13 @@ def manipulator_of(values: Mapping[str, Any]) -> Manipulator:
         carrier_friction=values['carrier.viscous_friction'],
         shaft_friction=values['motor.viscous_friction'] + (
             0.0 if elastic else motor_constants(values)[1]),
-        # Friction without coulomb_speed is that of steps.friction, and not of the Manipulator.
-        coulomb=tuple((ratio * values[f'{body}.coulomb_friction'] * (
-            1.0 - values[f'{body}.coulomb_rest'] * (values[f'{body}.coulomb_presliding'] > 0.0)),
-               speed / ratio, values.get(f'{body}.coulomb_asymmetry', 0.0))
-              if speed else (0.0, 1.0, 0.0)
-              for body, ratio in (('carrier', 1.0), ('motor', 1.0), ('motor.rotor', turns))
-              for speed in [values[f'{body}.coulomb_speed']]),
+        # Of Coulomb friction with presliding the bodies do not know.
+        coulomb=tuple(
+            (ratio * values[f'{body}.coulomb_friction'], speed / ratio,
+             values.get(f'{body}.coulomb_asymmetry', 0.0))
+            if speed and not values[f'{body}.coulomb_presliding'] else (0.0, 1.0, 0.0)
+            for body, ratio in (('carrier', 1.0), ('motor', 1.0), ('motor.rotor', turns))
+            for speed in [values[f'{body}.coulomb_speed']]),
         hub_radius=values['hub.radius'], gear=Gear(
             elastic, values['motor.gear.damping'], values['motor.gear.backlash'],
             turns**2 * values['motor.rotor.inertia'],
@@ -758,16 +746,9 @@ def check_gear(values: Mapping[str, Any]) -> None:
                 value != PARAMETERS[name].default):
             raise ParameterError(f'{name} needs motor.gear.stiffness > 0, got {elastic:g}')
     for body in ('carrier', 'motor', 'motor.rotor'):
-        speed, reach, rest = (f'{body}.coulomb_{name}' for name in ('speed', 'presliding', 'rest'))
-        for name in (f'{body}.coulomb_asymmetry', f'{body}.coulomb_friction'):
-            dry = name == 'motor.coulomb_friction' and elastic
-            if values.get(name) and not values[speed] and not values[reach] and (
-                    dry or 'asymmetry' in name):
-                raise ParameterError(
-                    f'{speed} must be > 0 rad/s with {name} = {values[name]:g}'
-                    + bool(dry) * ' and an elastic gear, whose rotor alone can stick'
-                    + f', or {reach} > 0')
-        if values[rest] < 1.0 and not (values[speed] and values[reach]):
+        speed, reach, rest = (f'{body}.coulomb_{name}' for name in (
+            'speed', 'presliding', 'static'))
+        if values[rest] != 1.0 and not (values[speed] and values[reach]):
             raise ParameterError(f'{rest} = {values[rest]:g} needs {speed} and {reach} > 0, got '
                                  f'{values[speed]:g} and {values[reach]:g}')
     if not elastic:
@@ -887,7 +868,8 @@ def find_implausible(values: Mapping[str, Any]) -> str | None:
         found.append(f'{shown("arm.section.width")} is not used: the diameter is '
                      f'{shown("arm.section.height")}')
     for body in ('carrier', 'motor', 'motor.rotor'):
-        speed, way, rest = (f'{body}.coulomb_{name}' for name in ('speed', 'presliding', 'rest'))
+        speed, way, rest = (f'{body}.coulomb_{name}' for name in (
+            'speed', 'presliding', 'static'))
         if values[speed] and values[way] and values[rest] == 1.0:
             found.append(f'{speed} = {values[speed]:g} is not used, since {rest} = 1')
     mass, inertia = values['end_effector.mass'], values['end_effector.inertia']

@@ -23,7 +23,7 @@ from timo_sim.simulation.loads import (
     Actuators, commanded_load, limits_of, tip_of, TipLoad, whole_load)
 from timo_sim.simulation.simulator import COUNT, MOST_BENT, SAMPLE_EVERY, Stateful
 from timo_sim.simulation.warnings import divergence, unseen_load
-from timo_sim.steps.bristles import HEAT, MEMORY
+from timo_sim.steps.bristles import HEAT, MEMORY, memory_at, swing_of
 from timo_sim.steps.lanes import from_lanes, LaneSteps, to_lanes
 from timo_sim.steps.steps import CHUNK, NO_LOADS
 
@@ -147,9 +147,8 @@ class Batch(Stateful):
     Raises
     ------
     ParameterError
-        If the scenes differ in size, or have what a batch cannot do: sticking friction, a carrier
-        that is held along one axis beside a free or driven shaft, `model.accuracy`, payloads that
-        change.
+        If the scenes differ in size, or have what a batch cannot do: a carrier that is held along
+        one axis beside a free or driven shaft, `model.accuracy`, payloads that change.
 
     Examples
     --------
@@ -176,15 +175,16 @@ class Batch(Stateful):
         self._models = [scene.build() for scene in self.scenes]
         self._straight = np.array([[model.tip_point.lever[0], 0.0] for model in self._models])
         self._initial = np.array([scene.initial_motion() for scene in self.scenes])
-        self._at_start = self._states_of(self._initial, np.ones(self.n, dtype=bool))
+        self._bristles = np.array([scene.bristles for scene in self.scenes])
+        self._swing = np.array([swing_of(*each) for each in zip(self._models, self._bristles)])
+        self._at_start = self._start_of(self._initial, np.ones(self.n, dtype=bool))
         self._needed = {each.needs: np.array([scene.values[each.needs] for scene in self.scenes])
                         for each in INPUTS if each.needs}
         self._loads = LaneLoads(self.scenes)
         # Of manipulators whose load at the tip changes.
         self._tips = {k: TipLoad(tip_of(scene)) for k, scene in enumerate(self.scenes)
                       if scene.payloads}
-        self._lanes = LaneSteps(self._models, self.scenes[0].step, MOST_BENT,
-                                np.array([scene.bristles for scene in self.scenes]),
+        self._lanes = LaneSteps(self._models, self.scenes[0].step, MOST_BENT, self._bristles,
                                 alike=not self._tips)
         self.steps, self._origin = 0, np.zeros(self.n, dtype=int)
         self.reset()
@@ -252,9 +252,8 @@ class Batch(Stateful):
             if chosen[number]:
                 self._tips[number] = TipLoad(tip_of(self.scenes[number]))
                 self._set_model(number, self.scenes[number].build())
-        states = self._at_start if motion is None else self._states_of(motions, chosen)
-        for field, new in ((lanes.state, states), (lanes.motion, motions),
-                           (lanes.memory, np.zeros((self.n, MEMORY))),
+        states, memory = self._at_start if motion is None else self._start_of(motions, chosen)
+        for field, new in ((lanes.state, states), (lanes.motion, motions), (lanes.memory, memory),
                            (lanes.progress, np.array([[1.0, 0.0]] * self.n))):
             rows = from_lanes(field, self.n)
             rows[chosen] = new[chosen]
@@ -267,8 +266,9 @@ class Batch(Stateful):
         self._origin[chosen] = self.steps
         self._loads.reset(np.flatnonzero(chosen), self.steps)
 
-    def _states_of(self, motions, chosen):
+    def _start_of(self, motions, chosen):
         states = np.zeros((self.n, len(self._models[0].linear)))
+        memory = np.zeros((self.n, MEMORY))
         rows_of = {}
         for lane in np.flatnonzero(chosen):
             rows_of.setdefault(id(self._models[lane]), []).append(lane)
@@ -276,7 +276,10 @@ class Batch(Stateful):
             model = self._models[rows[0]]
             # Each is a product of its own, so that no bit of a row depends on the other rows.
             states[rows] = model.state(motions[rows][:, np.newaxis])[:, 0]
-        return states
+            memory[rows] = memory_at(
+                self._bristles[rows], self._swing[rows],
+                motions[rows, motions.shape[1] // 2:] @ model.joint_turns)
+        return states, memory
 
     def step(self, *, duration: float | None = None, **commands: Any) -> Motion:
         """
@@ -401,8 +404,6 @@ def lane_size(scene: Scene) -> dict[str, Any]:
 def refusal(scene: Scene) -> str:
     """Return the first parameter that lanes do not know, as text, or ''."""
     values = scene.values
-    if scene.friction.any():
-        return 'Coulomb friction without a coulomb_speed or coulomb_presliding'
     if values['model.accuracy']:
         return f'model.accuracy = {values["model.accuracy"]}'
     return ''

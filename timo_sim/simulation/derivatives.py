@@ -1,7 +1,7 @@
 # Copyright 2026 The timo_sim authors
 # SPDX-License-Identifier: Apache-2.0
 
-"""What derivatives of steps are taken by, and of which scenes there are such derivatives."""
+"""What derivatives of steps are taken by."""
 
 from __future__ import annotations
 
@@ -12,7 +12,7 @@ import numpy as np
 
 from timo_sim.model.layout import INPUTS, LOADS, TORQUE, VOLTAGE
 from timo_sim.scene.parameters import ParameterError
-from timo_sim.scene.scene import motor_constants, Scene
+from timo_sim.scene.scene import motor_constants
 from timo_sim.simulation.loads import ARGUMENTS, check_arguments
 
 
@@ -26,12 +26,6 @@ class StepDerivatives(NamedTuple):
 
     by_motion: np.ndarray
     by_input: np.ndarray
-
-
-def why_not_differentiable(scene: Scene) -> str:
-    """Return why the steps of a scene have no derivatives; '' if they have."""
-    return ('derivatives of steps need friction that builds up over a speed or a presliding: '
-            'there is none while dry friction sticks') if scene.friction.any() else ''
 
 
 def unit_loads(values: Mapping[str, Any], inputs: Iterable[str]) -> np.ndarray:

@@ -28,7 +28,7 @@ from timo_sim.compiled.functions import Constants
 from timo_sim.model import exact_code, functions, modes, newton
 from timo_sim.scene.scene import load_scene
 from timo_sim.simulation.finer import EstimatingSimulator
-from timo_sim.steps import bristles, etdrk4, friction, instance, lanes, loads
+from timo_sim.steps import bristles, etdrk4, instance, lanes, loads
 
 # A carrier and a shaft that move freely, as in the paper; and an arm on a hub, on a carrier that
 # is held, as in the scene of `timo_sim new`. Each has the size of its finer run, too.
@@ -42,7 +42,7 @@ USUAL: list[dict[str, Any]] = [
 _KINDS: dict[str, list[type]] = {
     'arm': [modes.UniformArm], 'tables': [exact_code.Tables, newton.Tables],
     'flow': [functions.Flow], 'propagator': [*etdrk4.one_step.bodies],
-    'bristles': [bristles.Bristles], 'joints': [friction.Joints],
+    'bristles': [bristles.Bristles],
     'lane': [lanes.LaneConstants],
     'loads': [loads.SceneLoads], 'actuators': [loads.Actuators], 'plant': [instance.Plant],
     'instance': [instance.Instance]}
@@ -50,7 +50,7 @@ _KINDS: dict[str, list[type]] = {
 
 def entries() -> Iterator[tuple[EntryPoint, tuple[type, ...]]]:
     """Yield the entry points, each with the kinds of its constants."""
-    for module in modes, functions, etdrk4, friction, instance, lanes, loads:
+    for module in modes, functions, etdrk4, instance, lanes, loads:
         for entry in vars(module).values():
             if not isinstance(entry, EntryPoint) or entry.__module__ != module.__name__:
                 continue

@@ -25,15 +25,13 @@ from timo_sim.scene.parameters import (
     TEXTS)
 from timo_sim.scene.scene import load_scene, scene_from, SceneLike
 from timo_sim.simulation import warnings
-from timo_sim.simulation.derivatives import (
-    StepDerivatives, unit_loads, why_not_differentiable)
+from timo_sim.simulation.derivatives import StepDerivatives, unit_loads
 from timo_sim.simulation.loads import (
     Actuators, commanded_load, LoadTable, tip_of, TipLoad, whole_load)
 from timo_sim.simulation.snapshot import Sensors, Snapshot
 from timo_sim.simulation.warnings import DivergenceError
 from timo_sim.steps.derivatives import step_derivatives
-from timo_sim.steps.friction import steps_of
-from timo_sim.steps.steps import CHUNK, Samples
+from timo_sim.steps.steps import CHUNK, Samples, Steps
 
 # Deflection beyond which the run counts as diverged, in arm lengths.
 MOST_BENT = 10.0
@@ -124,7 +122,7 @@ class Simulator(Stateful, PointsOfArm):
 
     def _take(self, scene, model):
         self.scene, self.model = scene, model
-        self.integration = steps_of(self.model, scene.step, scene.friction, scene.bristles)
+        self.integration = Steps(self.model, scene.step, scene.bristles)
         travel = model.tip_travel[3:]
         self._travel = np.zeros(len(model.linear))  # of the tip by each number of the state
         self._travel[len(self._travel) // 2 - len(travel):len(self._travel) // 2] = travel
@@ -191,7 +189,7 @@ class Simulator(Stateful, PointsOfArm):
                 self._take(self.scene, self._model_with(self.scene, self.tip_load.tip))
             motion = self.scene.initial_motion(self.model)
             self._state = self.model.state(motion)
-            self.integration.reset()
+            self.integration.reset(motion)
             # Without speeds, deflection, loads, drive and gravity nothing changes until a command.
             self._resting = not (self.scene.load or self.scene.load.drive or motion[3:].any()
                                  or self.model.gravity.any())
@@ -295,15 +293,15 @@ class Simulator(Stateful, PointsOfArm):
         """
         Advance as `step` does, and return the derivatives of the motion at the end.
 
-        They are exact, through the stages of each step, for all scenes without dry friction that
-        sticks. Where something changes its course, such as a gear in its play or a current at its
-        limit, they are those of the side that is taken. They are by what acts of commands: limits,
-        also of rates, are not differentiated. Rows and columns of coordinates that are held,
-        locked or driven are 0.
+        They are exact, through the stages of each step. Where something changes its course, as a
+        gear in its play or a current at its limit does, they are those of the side that is taken.
+        They are by what acts of commands: limits, also of rates, are not differentiated. How far
+        dry friction is in its presliding at the start stays as it is. Rows and columns of
+        coordinates that are held, locked or driven are 0.
 
         `inputs` are names of commands; those with two numbers give two columns. Raises
-        ParameterError if the scene has what has no derivatives here, or an input is unknown, and
-        the errors of `step`.
+        ParameterError if an input is unknown or the end effector changes in these steps, and the
+        errors of `step`.
 
         Examples
         --------
@@ -314,8 +312,6 @@ class Simulator(Stateful, PointsOfArm):
         ((12, 12), (12, 1))
 
         """
-        if reason := why_not_differentiable(self.scene):
-            raise ParameterError(reason)
         unit = unit_loads(self.scene.values, inputs)
         commanded = commanded_load(self.scene.values, **commands)
         count = 1 if duration is None else steps_in(duration, self.scene.step)

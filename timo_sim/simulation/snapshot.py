@@ -16,12 +16,8 @@ from timo_sim.model.formulation import Formulation
 from timo_sim.model.layout import (
     FORCE_I, FORCE_II, FORCE_X, FORCE_Y, Motion, MOTOR_FRICTION, place, rotate, TORQUE)
 from timo_sim.scene.scene import Scene
-from timo_sim.steps.bristles import UNITS
+from timo_sim.steps.bristles import DEFLECTION, memory_at, swing_of, UNITS
 from timo_sim.topics.outputs import NANOSECONDS, SENSORS
-
-# Speed of a joint below which Coulomb friction holds it [m/s, rad/s], doc/theory.md, section 8;
-# most sweeps over the joints that it holds, and their change, relative to it, that is round-off.
-_STILL, _SWEEPS, _SETTLED = 1e-7, 200, 1e-14
 
 
 def applied(model: Formulation, motions: np.ndarray, loads: np.ndarray) -> np.ndarray:
@@ -101,22 +97,14 @@ class Joints:
         return motion.shaft_velocity + motion.qdot @ self.model.points.rotation[:, -1]
 
 
-def joints_of_run(scene: Scene, model: Formulation, motions: np.ndarray,
-                  loads: np.ndarray) -> Joints:
+def joints_of_run(model: Formulation, motions: np.ndarray, loads: np.ndarray) -> Joints:
     """
     Return the Joints of sampled motions of a scene, (n, 2 (3 + N)).
 
-    The loads, (n, LOADS), are without dry friction that sticks. Where that holds a joint, it is
-    what cancels the joint's acceleration.
+    The loads, (n, LOADS), are those that act, dry friction included.
     """
-    limit, states, acting = scene.friction, model.state(motions), loads.copy()
-    if limit.any():
-        acting += _friction(
-            lambda loads, rows: model.accelerations(
-                motions[rows], states[rows], loads)[0] @ model.driven_turns,
-            loads, motions[:, motions.shape[1] // 2:] @ model.driven_turns, limit) @ UNITS[:3]
-    accelerations, tip = model.accelerations(motions, states, acting)
-    return Joints(model, motions, accelerations, acting, tip)
+    accelerations, tip = model.accelerations(motions, model.state(motions), loads)
+    return Joints(model, motions, accelerations, loads, tip)
 
 
 def add_bristles(scene: Scene, model: Formulation, motions: np.ndarray, loads: np.ndarray) -> None:
@@ -125,41 +113,16 @@ def add_bristles(scene: Scene, model: Formulation, motions: np.ndarray, loads: n
 
     They follow the joints from sample to sample: a reversal between two samples is seen late.
     """
-    places = motions[:, :motions.shape[1] // 2] @ model.driven_turns
-    for k, (*limits, reach) in enumerate(scene.bristles):
+    places, speeds = (part @ model.joint_turns for part in np.hsplit(motions, 2))
+    start = memory_at(scene.bristles, swing_of(model, scene.bristles), speeds[0])[DEFLECTION:]
+    for k, (forward, backward, reach, more, slow) in enumerate(scene.bristles):
         if not reach:
             continue
-        deflections = [0.0]
-        for way in np.diff(motions[:, 2] if k == 3 else places[:, k]).tolist():
+        deflections = [start[k]]
+        for way in np.diff(places[:, k]).tolist():
             deflections.append(min(max(deflections[-1] + way, -reach), reach))
-        bent = np.array(deflections)
-        loads -= np.outer(np.where(bent > 0.0, *limits) * bent / reach, UNITS[k])
-
-
-def _friction(accelerate, loads, speed, limit):
-    """Return the Coulomb friction of joints that slide, and what holds the others, (n, 3)."""
-    still = (limit > 0.0) & (np.abs(speed) <= _STILL)
-    friction = np.where(still, 0.0, -limit * np.sign(speed))
-    rows = np.flatnonzero(still.any(axis=1))
-    loads, room = loads[rows], np.where(still, limit, 0.0)[rows]
-    loads += friction[rows] @ UNITS[:3]
-    free = accelerate(loads, rows)
-    # Accelerations are linear in a load.
-    joints = np.flatnonzero(limit)
-    mobility = np.zeros((*free.shape, 3))
-    for j in joints:
-        mobility[:, :, j] = accelerate(loads + UNITS[j], rows) - free
-    holding = np.zeros_like(free)
-    for _ in range(_SWEEPS):
-        before = holding.copy()
-        for j in joints:
-            left = free[:, j] + np.sum(mobility[:, j] * holding, axis=1)
-            holding[:, j] = np.clip(holding[:, j] - left / mobility[:, j, j],
-                                    -room[:, j], room[:, j])
-        if np.all(np.abs(holding - before) <= _SETTLED * limit):
-            break
-    friction[rows] += holding
-    return friction
+        bent = np.array(deflections) / reach * (1.0 + more / (1.0 + (speeds[:, k] / slow)**2))
+        loads -= np.outer(np.where(bent > 0.0, forward, backward) * bent, UNITS[k])
 
 
 _BLOCK = 256  # steps whose random numbers are drawn at once

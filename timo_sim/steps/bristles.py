@@ -2,9 +2,10 @@
 # SPDX-License-Identifier: Apache-2.0
 
 """
-Presliding: dry friction as that of bristles, which bend before a joint slides (T64).
+Dry friction, as that of bristles, which bend before a joint slides (T64).
 
-The deflection of a bristle follows its joint within +-`reach`, and its force is a function of it.
+The deflection of a bristle follows its joint within +-`reach`, and its force is a function of it
+and, with the effect of Stribeck (T41), of the joint's speed.
 Within a step it is a function of the joint's place, by what the joint and its bristle were at the
 start of the step: friction is part of the rate at each stage of `etdrk4.one_step`. At the end of a
 step deflections are set once, by the cubic through place and speed at both ends (T65). Nothing
@@ -33,6 +34,9 @@ UNITS[ROTOR, MOTOR_FRICTION] = 1.0
 # taken [J], deflections of bristles.
 HEAT, DEFLECTION = BRISTLES, BRISTLES + 1
 MEMORY = DEFLECTION + BRISTLES
+# Columns of `Scene.bristles`: friction in forward and backward motion, deflection at which joints
+# slide, by how much of itself friction is more at rest, speed over which that goes.
+FORWARD, BACKWARD, REACH, MORE, SLOW = range(5)
 
 
 # Alone the stages make a swing on bristles gain 9e-4 (h Omega)^6 of its amplitude in a step. Stage
@@ -47,8 +51,10 @@ class Bristles(NamedTuple):
 
     step: float  # [s]
     joint: Annotated[np.ndarray, int, 'bristles']    # its number in COLUMNS
-    stiffness: Annotated[np.ndarray, 'bristles', 2]  # bent forward and backward
+    stiffness: Annotated[np.ndarray, 'bristles', 2]  # bent forward and backward, in motion
     reach: Annotated[np.ndarray, 'bristles']         # [m, rad]
+    # By how much of itself it is more at rest, and the speed over which; no rows without.
+    stribeck: Annotated[np.ndarray, 'stribeck', 2]
     lead: float  # of stage b, see `_LEAD`
     # Turn of the rotor per coordinate of an elastic gear, and the coordinate's place in a motion.
     gear: Annotated[np.ndarray, 'gears']
@@ -67,32 +73,71 @@ class Bent(NamedTuple):
 
 def bristles_of(models: list[Formulation], step: float, values: np.ndarray) -> list[np.ndarray]:
     """Return fields of models of one size, (n, ...); `values` are `Scene.bristles` of each."""
-    rows, count = np.flatnonzero(values.any(axis=(0, 2))), len(models)
-    reach = values[:, rows, 2]
+    rows, count = np.flatnonzero(values[:, :, REACH].any(axis=0)), len(models)
+    reach, stribeck = values[:, rows, REACH], values[:, rows, MORE:]
     stiffness = np.divide(values[:, rows, :2], reach[..., np.newaxis], where=reach[
         ..., np.newaxis] > 0.0, out=np.zeros((count, len(rows), 2)))
     place, known = models[0].gear_place, {}
     for model, each in zip(models, values):
         key = id(model), each.tobytes()
         if key not in known:
-            known[key] = _LEAD * step**2 * _fastest(model, each) if len(rows) else 0.0
+            known[key] = _LEAD * step**2 * fastest(model, each) if len(rows) else 0.0
     lead = [known[id(model), each.tobytes()] for model, each in zip(models, values)]
     gear = np.array([model.rotor[[place] * bool(model.gear)] for model in models])
-    return [np.full(count, step), np.tile(rows, (count, 1)), stiffness, reach, np.array(lead),
-            gear, np.full(count, place)]
+    return [np.full(count, step), np.tile(rows, (count, 1)), stiffness, reach,
+            stribeck if stribeck[:, :, 0].any() else stribeck[:, :0], np.array(lead), gear,
+            np.full(count, place)]
 
 
-def _fastest(model, values):
-    """Return the largest eigenvalue of swings on bristles of a straight arm, Omega^2 [1/s2]."""
-    motion, half, found = np.zeros(model.size), model.size // 2, 0.0
-    free = [*model.axes, *range(2 + model.driven, half)]
-    joints = np.vstack([model.driven_turns.T, np.eye(3, half)[2]])[:, free]
-    root = np.sqrt(np.divide(values[:, :2].max(axis=1), values[:, 2], out=np.zeros(BRISTLES),
-                             where=values[:, 2] > 0.0))
+def springs_of(values: np.ndarray) -> np.ndarray:
+    """Return the largest stiffness of `Scene.bristles`, with any speed and direction, (4,)."""
+    return np.divide(values[:, :2].max(axis=1) * (1.0 + np.maximum(values[:, MORE], 0.0)),
+                     values[:, REACH], out=np.zeros(BRISTLES), where=values[:, REACH] > 0.0)
+
+
+def mobilities(model: Formulation, motion: np.ndarray | None = None) -> list[np.ndarray]:
+    """
+    Return accelerations of joints by unit forces on each, (4, 4), along and across the arm.
+
+    The arm is straight, or as in a motion, (2 (3 + N),).
+    """
+    motion = np.zeros(model.size) if motion is None else motion.copy()
+    free, found = [*model.axes, *range(2 + model.driven, model.size // 2)], []
+    joints = model.joint_turns.T[:, free]
     for motion[2] in (0.0, 0.5 * np.pi):
-        mobility = joints @ np.linalg.inv(
-            model.mass_matrix(motion)[0][np.ix_(free, free)]) @ joints.T
-        found = max(found, *np.linalg.eigvalsh(np.outer(root, root) * mobility))
+        mass = model.mass_matrix(motion)[0][np.ix_(free, free)]
+        found.append(joints @ np.linalg.inv(mass) @ joints.T)
+    return found
+
+
+def fastest(model: Formulation, values: np.ndarray, motion: np.ndarray | None = None) -> float:
+    """Return the largest eigenvalue of swings on `Scene.bristles`, Omega^2 [1/s2]."""
+    root = np.sqrt(springs_of(values))
+    return max(0.0, *(float(np.linalg.eigvalsh(np.outer(root, root) * each)[-1])
+                      for each in mobilities(model, motion)))
+
+
+def swing_of(model: Formulation, values: np.ndarray) -> np.ndarray:
+    """Return the speeds of joints whose energy `Scene.bristles` take as springs, (4,)."""
+    if not values[:, REACH].any():
+        return np.ones(BRISTLES)
+    found = np.sqrt(springs_of(values) * mobilities(model)[0].diagonal()) * values[:, REACH]
+    return np.where(found > 0.0, found, 1.0)
+
+
+def memory_at(values: np.ndarray, swing: np.ndarray, speeds: np.ndarray) -> np.ndarray:
+    """
+    Return what steps begin with, where joints have these speeds, (..., 4), shape (..., MEMORY).
+
+    `values` are `Scene.bristles`, (..., 4, 5), `swing` are `swing_of` them. Joints that move have
+    slid, their bristles are bent; those of slower ones are so in part.
+    """
+    found = np.zeros((*speeds.shape[:-1], MEMORY))
+    forward, backward, reach, more, slow = np.moveaxis(values, -1, 0)
+    bent = np.clip(speeds / swing, -1.0, 1.0)
+    found[..., DEFLECTION:] = bent * reach
+    found[..., :BRISTLES] = -bent * np.where(bent > 0.0, forward, backward) * (
+        1.0 + more / (1.0 + (speeds / slow)**2))
     return found
 
 
@@ -102,10 +147,20 @@ def _within(reach, deflection):
 
 
 @inner
-def _force(bristles, n, deflection):
-    """Return the friction of a bristle, against its deflection."""
+def _share(bristles, n, speed):
+    """Return friction at a speed over that in fast motion."""
+    found = 1.0
+    if len(bristles.stribeck):
+        part = speed / bristles.stribeck[n, 1]
+        found += bristles.stribeck[n, 0] / (1.0 + part * part)
+    return found
+
+
+@inner
+def _force(bristles, n, deflection, share):
+    """Return the friction of a bristle, against its deflection, at a speed with this share."""
     forward, backward = bristles.stiffness[n, 0], bristles.stiffness[n, 1]
-    return -where(deflection > 0.0, forward, backward) * deflection
+    return -where(deflection > 0.0, forward, backward) * share * deflection
 
 
 @inner
@@ -130,6 +185,7 @@ def rub(tables, bristles, bent, stage, state, load):
     copy(load, bent.load)
     for n in range(len(bristles.reach)):
         joint, reach, deflection = bristles.joint[n], bristles.reach[n], bent.deflection[n]
+        speed = bent.speed[n]
         if stage != BEGINNING:
             way = joint_place(tables, state, load, joint) - bent.place[n]
             if stage == FIRST:
@@ -138,7 +194,9 @@ def rub(tables, bristles, bent, stage, state, load):
                 way -= bristles.lead * (way - bent.middle[n])
             # As if the joint did not turn on its way: no error was measured to grow by that.
             deflection = _within(reach, deflection + way)
-        force = _force(bristles, n, deflection)
+            # That of the parabola through both places.
+            speed = way / (bristles.step if stage == LAST else 0.5 * bristles.step) * 2.0 - speed
+        force = _force(bristles, n, deflection, _share(bristles, n, speed))
         bent.load[COLUMNS[joint]] += force
         if joint == ROTOR:
             bent.load[MOTOR_FRICTION] += force
@@ -163,12 +221,14 @@ def start_bristles(tables, bristles, state, load, motion, moved, bent, memory):
             turn = _turn(bristles.step * bent.speed[n], bristles.step * speed, way)
             middle = _within(reach, start + turn)
             end = _within(reach, middle + (way - turn))
-            there, here = _force(bristles, n, middle), _force(bristles, n, end)
+            share = _share(bristles, n, speed)
+            mean = 0.5 * (_share(bristles, n, bent.speed[n]) + share)
+            here = _force(bristles, n, end, mean)
             memory[HEAT] += (
-                magnitude(there * (start + turn - middle))
+                magnitude(_force(bristles, n, middle, mean) * (start + turn - middle))
                 + magnitude(here * (middle + (way - turn) - end))
-                + 0.5 * (_force(bristles, n, start) * start - here * end))
-            memory[joint] = here
+                + 0.5 * (_force(bristles, n, start, mean) * start - here * end))
+            memory[joint] = _force(bristles, n, end, share)
             memory[DEFLECTION + joint] = end
         bent.place[n], bent.speed[n] = place, speed
         bent.deflection[n] = memory[DEFLECTION + joint]

@@ -168,7 +168,7 @@ def one_step(matrices, tables, bristles, bent, start, middle, end, work):
 
 
 @inner
-def _rate(tables, bristles, bent, stage, state, load, out):
+def rate_of_stage(tables, bristles, bent, stage, state, load, out):
     """Write the rate of the state of a stage, under a load and the friction of bristles."""
     if len(bristles.reach):
         rub(tables, bristles, bent, stage, state, load)
@@ -181,26 +181,26 @@ def _rate(tables, bristles, bent, stage, state, load, out):
 def _one_step(propagator, tables, bristles, bent, start, middle, end, work):
     """As `one_step`, by (T36)."""
     now, following = work.now, work.following
-    _rate(tables, bristles, bent, BEGINNING, now, start, work.rate_0)
+    rate_of_stage(tables, bristles, bent, BEGINNING, now, start, work.rate_0)
 
     # a = e^(hL/2) y + h/2 phi_1(hL/2) n_0
     product(propagator.half, now, work.half)
     copy(work.half, following)
     add_product(propagator.half_weight, work.rate_0, following)
-    _rate(tables, bristles, bent, FIRST, following, middle, work.rate_a)
+    rate_of_stage(tables, bristles, bent, FIRST, following, middle, work.rate_a)
 
     # The first term of c, e^(hL/2) a, before b takes the place of a;
     # b = e^(hL/2) y + h/2 phi_1(hL/2) n_a
     product(propagator.half, following, work.third)
     copy(work.half, following)
     add_product(propagator.half_weight, work.rate_a, following)
-    _rate(tables, bristles, bent, SECOND, following, middle, work.rate_b)
+    rate_of_stage(tables, bristles, bent, SECOND, following, middle, work.rate_b)
 
     # c = e^(hL/2) a + h/2 phi_1(hL/2) (2 n_b - n_0)
     for i in range(len(propagator.half)):
         work.combined[i] = 2.0 * work.rate_b[i] - work.rate_0[i]
     add_product(propagator.half_weight, work.combined, work.third)
-    _rate(tables, bristles, bent, LAST, work.third, end, work.rate_c)
+    rate_of_stage(tables, bristles, bent, LAST, work.third, end, work.rate_c)
 
     # The result, with the weights of n_0, of n_a + n_b and of n_c.
     for i in range(len(propagator.half)):

@@ -58,7 +58,7 @@ class Instance(NamedTuple):
     inputs: Annotated[np.ndarray, LOADS]  # commands
     load: Annotated[np.ndarray, LOADS]    # at the end of the last step
     acting: Annotated[np.ndarray, LOADS]  # the same with dry friction
-    friction: Annotated[np.ndarray, MEMORY]    # of `friction.advance`: what steps hand on
+    friction: Annotated[np.ndarray, MEMORY]    # what steps hand on
     friction_before: Annotated[np.ndarray, MEMORY]  # the same before the last step
     heat: Annotated[np.ndarray, 1]        # room for its sample
     error: Annotated[np.ndarray, 1]       # estimated error of the tip [m]
@@ -98,6 +98,7 @@ class Plant(NamedTuple):
     strain_of_rates: Annotated[np.ndarray, 'modes']
     start: Annotated[np.ndarray, 'state']  # the initial state
     first_load: Annotated[np.ndarray, LOADS]  # the scene's own at its beginning
+    first_friction: Annotated[np.ndarray, MEMORY]  # what the first step begins with
 
 
 @entry_point(plant=Constants(), actuators=Constants(), instance=Constants())
@@ -112,8 +113,7 @@ def reset(plant, actuators, instance):
         instance.inputs[k] = actuators.goal[k] = actuators.origin[k] = 0.0
     copy(plant.first_load, instance.load)
     copy(plant.start, instance.state)
-    for k in range(len(instance.friction)):
-        instance.friction[k] = 0.0
+    copy(plant.first_friction, instance.friction)
     return _OK
 
 

@@ -12,7 +12,8 @@ from timo_sim.compiled.entry import Call
 from timo_sim.model.formulation import Formulation
 from timo_sim.model.layout import AFTER, LOADS, STEP_LOADS
 from timo_sim.steps import etdrk4
-from timo_sim.steps.bristles import Bristles, BRISTLES, bristles_of, MEMORY, UNITS
+from timo_sim.steps.bristles import (
+    Bristles, BRISTLES, bristles_of, MEMORY, memory_at, REACH, SLOW, swing_of, UNITS)
 from timo_sim.steps.etdrk4 import Propagator, propagator
 
 NO_LOADS = np.zeros((0, STEP_LOADS, LOADS))
@@ -34,19 +35,20 @@ class Samples(NamedTuple):
 
 class Steps:
     """
-    Equal steps of a model, of a length in seconds.
+    Equal steps of a model, of a length in seconds, with the dry friction of `Scene.bristles`.
 
     `memory` is what one step hands to the next besides the state; a caller may copy it and put it
     back.
     """
 
     def __init__(self, model: Formulation, step: float,
-                 bristles: np.ndarray = np.zeros((BRISTLES, 3))) -> None:
+                 bristles: np.ndarray = np.zeros((BRISTLES, SLOW + 1))) -> None:
         self.model, self.step = model, step
         self.memory = np.zeros(MEMORY)
         self.bristles = pack(Bristles._make(
             each[0] for each in bristles_of([model], step, bristles[np.newaxis])))
-        self._has_friction = bool(bristles.any())
+        self._friction = bristles if bristles[:, REACH].any() else None
+        self._swing = swing_of(model, bristles)
         # The key is the number of a sector, None without; all steps of this length share parts.
         self._parts, self._advance = model.linear_parts(step), dict[int | None, Call]()
         self._no_samples = Samples(0, np.empty((0, model.size)), np.zeros(0))
@@ -59,11 +61,14 @@ class Steps:
 
     def acting(self, load: np.ndarray) -> np.ndarray:
         """Return a load plus the dry friction at the end of the last step, shape (LOADS,)."""
-        return load + self.memory[:BRISTLES] @ UNITS if self._has_friction else load
+        return load + self.memory[:BRISTLES] @ UNITS if self._friction is not None else load
 
-    def reset(self) -> None:
-        """Forget friction and heat of earlier steps."""
+    def reset(self, motion: np.ndarray) -> None:
+        """Begin with a motion, (2 (3 + N),), without heat."""
         self.memory[:] = 0.0
+        if self._friction is not None:
+            self.memory[:] = memory_at(self._friction, self._swing, motion[
+                len(motion) // 2:] @ self.model.joint_turns)
 
     def continue_from(self, earlier: 'Steps') -> None:
         """Take over the memory from the steps of a model of the same size."""
@@ -98,11 +103,8 @@ class Steps:
 
     def _call(self, sector):
         if sector not in self._advance:
-            self._advance[sector] = self._compiled(self.part(sector))
+            self._advance[sector] = etdrk4.advance.of(*self.part(sector), self.bristles)
         return self._advance[sector]
-
-    def _compiled(self, part):
-        return etdrk4.advance.of(*part, self.bristles)
 
     def part(self, sector: int | None) -> tuple[Packed, Packed]:
         """
