@@ -17,7 +17,7 @@ import numpy as np
 from timo_sim.compiled.functions import WIDTH
 from timo_sim.model.layout import ACCELERATION, ANGLE, INPUTS, LOADS, STEP_LOADS
 from timo_sim.scene.parameters import StepError
-from timo_sim.steps.bristles import mobilities, MORE, REACH, SLOW, springs_of
+from timo_sim.steps.bristles import fastest, mobilities, MORE, REACH, SLOW, springs_of
 from timo_sim.steps.loads import add_scene_loads, NEAR, POINT, SceneLoads
 
 # Columns of the inputs that a scene may prescribe over time, by name.
@@ -191,24 +191,22 @@ def check_slope(scene: Any) -> None:
     mobile = mobilities(scene.build(), scene.initial_motion())
     # The steepest slope of t (1 + a t) is at most 1 + 0.52 a times the one at rest, and that of
     # 1 / (1 + x^2) is 0.65.
-    slope = np.sqrt(limit / speed * (1.0 + 0.52 * np.abs(asymmetry)) + 0.65 * bristles[
-        :, :2].max(axis=1) * np.abs(bristles[:, MORE]) / bristles[:, SLOW])
-    rate = max(0.0, *(np.linalg.eigvalsh(np.outer(slope, slope) * each)[-1] for each in mobile))
-    spring = np.sqrt(springs_of(bristles))
-    bristle = max(0.0, *(np.linalg.eigvalsh(np.outer(spring, spring) * each)[-1]
-                         for each in mobile))**0.5
+    slope = limit / speed * (1.0 + 0.52 * np.abs(asymmetry)) + 0.65 * bristles[
+        :, :2].max(axis=1) * np.abs(bristles[:, MORE]) / bristles[:, SLOW]
+    rate = fastest(slope, mobile)
+    bristle = np.sqrt(fastest(springs_of(bristles), mobile))
     contact = 0.0
     if gear and gear.backlash:  # its twist is the rotor's angle less that of the shaft
         contact = max(np.sqrt(gear.stiffness * (each[2, 2] + each[3, 3] - 2.0 * each[2, 3]))
                       for each in mobile)
-    for fastest, most, what, name, power in (
+    for found, most, what, name, power in (
             (contact, _CONTACT, 'backlash of a gear with this stiffness', 'motor.gear.stiffness',
              -2),
             (bristle, _CONTACT, 'Coulomb friction with so small a presliding',
              'coulomb_presliding', 2),
             (rate, _STABLE, 'Coulomb friction with this slope', 'coulomb_speed', 1)):
-        if fastest * scene.step > most:
-            longest = 0.99 * most / fastest
+        if found * scene.step > most:
+            longest = 0.99 * most / found
             default = ' (as large as 0.001 rad or 0.0001 m by default)' * (power == 2)
             raise StepError(f'integrator.step = {scene.step:g} s must be at most {longest:.3g} s '
                             f'for {what}: take that, or a {name} '

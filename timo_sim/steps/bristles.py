@@ -81,7 +81,8 @@ def bristles_of(models: list[Formulation], step: float, values: np.ndarray) -> l
     for model, each in zip(models, values):
         key = id(model), each.tobytes()
         if key not in known:
-            known[key] = _LEAD * step**2 * fastest(model, each) if len(rows) else 0.0
+            known[key] = _LEAD * step**2 * fastest(
+                springs_of(each), mobilities(model)) if len(rows) else 0.0
     lead = [known[id(model), each.tobytes()] for model, each in zip(models, values)]
     gear = np.array([model.rotor[[place] * bool(model.gear)] for model in models])
     return [np.full(count, step), np.tile(rows, (count, 1)), stiffness, reach,
@@ -110,11 +111,10 @@ def mobilities(model: Formulation, motion: np.ndarray | None = None) -> list[np.
     return found
 
 
-def fastest(model: Formulation, values: np.ndarray, motion: np.ndarray | None = None) -> float:
-    """Return the largest eigenvalue of swings on `Scene.bristles`, Omega^2 [1/s2]."""
-    root = np.sqrt(springs_of(values))
-    return max(0.0, *(float(np.linalg.eigvalsh(np.outer(root, root) * each)[-1])
-                      for each in mobilities(model, motion)))
+def fastest(slopes: np.ndarray, mobile: list[np.ndarray]) -> float:
+    """Return the largest eigenvalue of forces with slopes, (4,), on joints of `mobilities`."""
+    root = np.sqrt(slopes)
+    return max(0.0, *(np.linalg.eigvalsh(np.outer(root, root) * each)[-1] for each in mobile))
 
 
 def swing_of(model: Formulation, values: np.ndarray) -> np.ndarray:
