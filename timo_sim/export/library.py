@@ -184,8 +184,12 @@ class _Body:
 
     # What each model does.
 
-    def constants_of_step(self, model, instance):
-        """Return tables and propagator of the linear part of now, by name, each with its place."""
+    def emit_choice_of_part(self, model, instance):
+        """
+        Emit a loop that looks for the linear part that is valid now, from the last one on.
+
+        Return its tables and propagator by name, each with its place.
+        """
         builder, first_parts = self.builder, [each[0] for each in model.parts]
         lengths, count = [self.word(each.length) for each in first_parts], len(model.parts[0])
         places = [self.data(*packed) for packed in model.parts]
@@ -210,29 +214,29 @@ class _Body:
             places = [tables, self.at(places[1], builder.mul(number, lengths[1]))]
         return dict(zip(('tables', 'propagator'), zip(first_parts, places)))
 
-    def advance(self, model, instance, count, every):
+    def emit_advance(self, model, instance, count, every):
         memory, heat, motion, *given = (self.field(model, instance, name) for name in (
             'friction', 'heat', 'motion', 'state', 'load', 'loads'))
         given += [self.word(number) for number in (count, every, 0)]
-        constants = self.constants_of_step(model, instance)
+        constants = self.emit_choice_of_part(model, instance)
         return self.call(model, instance, advance, memory, *given, motion, heat, **constants)
 
-    def step_of(self, model):
+    def define_model_step(self, model):
         """Define the function that does one step of a model under commands."""
         instance, inputs = self.function(f'step.{model.number}', _WORD, _POINTER, _POINTER)
         self.call(model, instance, steps.prepare, inputs)
-        done = self.advance(model, instance, 1, 0)
+        done = self.emit_advance(model, instance, 1, 0)
         self.builder.ret(self.call(model, instance, steps.finish, done))
 
-    def observe_of(self, model):
+    def define_model_observe(self, model):
         """Define the function that writes a model's motion and the place of its tip."""
         instance, = self.function(f'observe.{model.number}', _WORD, _POINTER)
-        self.advance(model, instance, 0, 1)
+        self.emit_advance(model, instance, 0, 1)
         self.call(model, instance, tips, self.field(model, instance, 'motion'), self.word(1),
                   self.field(model, instance, 'tip'))
         self.builder.ret(self.call(model, instance, steps.set_place))
 
-    def follow(self):
+    def define_follow(self):
         """Define the function that advances the finer run and compares the tips."""
         own, finer = self.models
         instance, = self.function('follow', _WORD, _POINTER)
@@ -248,7 +252,7 @@ class _Body:
         builder.call(self.module.globals['observe.1'], [other])
         builder.ret(self.call(own, instance, steps.compare, self.field(finer, other, 'place')))
 
-    def refresh(self):
+    def define_refresh(self):
         """Define the function that computes outputs up to a stage of KNOWN, if they are not."""
         own = self.models[0]
         instance, stage = self.function('refresh', _WORD, _POINTER, _WORD)
@@ -286,7 +290,7 @@ class _Body:
                      Code.NOT_CREATED)
         return instance, *arguments
 
-    def finish(self, code=None):
+    def emit_return(self, code=None):
         self.builder.ret(ir.Constant(_INT, 0) if code is None else
                          self.builder.trunc(code, _INT))
 
@@ -302,7 +306,7 @@ class _Body:
     def reset_all(self, instance):
         for model, each in self.each(instance):
             self.call(model, each, steps.reset)
-        self.finish()
+        self.emit_return()
 
     def copy_constants(self, instance):
         """Copy the constants that functions change."""
@@ -315,7 +319,7 @@ class _Body:
             self.builder.store(self.builder.load(self.at(source, offset), typ=_WORD),
                                self.at(goal, offset))
 
-    def memory(self):
+    def define_memory(self):
         self.function(f'{self.name}_size', _WORD)
         self.builder.ret(self.word(self.size))
         memory, size = self.function(f'{self.name}_create', _INT, _POINTER, _WORD)
@@ -327,15 +331,15 @@ class _Body:
         instance, = self.public('reset')
         self.reset_all(instance)
 
-    def inputs(self):
+    def define_inputs(self):
         own, columns = self.models[0], [each.column for each in self.interface.inputs]
         for entry, kind in ((steps.set_input, _REAL), (steps.get_input, _POINTER)):
             instance, number, value = self.public(entry.__name__, _INT, kind)
             self.fail_unless_below(number, len(columns))
-            self.finish(self.call(own, instance, entry,
-                                  self.element('columns', _WORD, columns, number), value))
+            self.emit_return(self.call(own, instance, entry,
+                                       self.element('columns', _WORD, columns, number), value))
 
-    def parameters(self):
+    def define_parameters(self):
         limits = self.interface.parameters
         instance, number, value = self.public('set_parameter', _INT, _REAL)
         self.fail_unless_below(number, len(limits))
@@ -343,13 +347,13 @@ class _Body:
         for model, each in self.each(instance):
             code = self.call(model, each, steps.set_parameter, of_rate, begin, end, value)
             with self.builder.if_then(self.builder.not_(self.equal(code, 0))):
-                self.finish(code)
-        self.finish()
+                self.emit_return(code)
+        self.emit_return()
         instance, number, value = self.public('get_parameter', _INT, _POINTER)
         self.fail_unless_below(number, len(limits))
         of_rate, begin, _ = self.columns_of_limit(number)
-        self.finish(self.call(self.models[0], instance, steps.get_parameter, of_rate, begin,
-                              value))
+        self.emit_return(self.call(self.models[0], instance, steps.get_parameter, of_rate, begin,
+                                   value))
 
     def columns_of_limit(self, number):
         """Return whether a parameter limits rates, its first column and the one after its last."""
@@ -357,7 +361,7 @@ class _Body:
             int(getattr(each, name)) for each in self.interface.parameters], number)
             for name in ('of_rate', 'begin', 'end')]
 
-    def step(self):
+    def define_step(self):
         own = self.models[0]
         instance, count = self.public('step', _WORD)
         builder = self.builder
@@ -373,15 +377,15 @@ class _Body:
         code = builder.call(self.module.globals['step.0'],
                             [instance, self.field(own, instance, 'inputs')])
         with builder.if_then(builder.not_(self.equal(code, 0))):
-            self.finish(code)
+            self.emit_return(code)
         if len(self.models) > 1:
             builder.call(self.module.globals['follow'], [instance])
         number.add_incoming(builder.add(number, self.word(1)), builder.block)
         builder.branch(loop)
         builder.position_at_end(end)
-        self.finish()
+        self.emit_return()
 
-    def derivatives(self):
+    def define_derivatives(self):
         own = self.models[0]
         instance, values = self.public('step_derivatives', _POINTER)
         # The step is not done, so its commands begin no lines: actuators are as before.
@@ -399,10 +403,10 @@ class _Body:
             'before', 'friction_before', 'load', 'loads'))
         self.call(own, instance, own.differentiate, places, self.word(1), state, memory, *slopes,
                   load, loads, self.word(1), units, self.word(len(own.units)), values,
-                  **self.constants_of_step(own, instance))
-        self.finish()
+                  **self.emit_choice_of_part(own, instance))
+        self.emit_return()
 
-    def outputs(self):
+    def define_outputs(self):
         own, count = self.models[0], len(self.interface.outputs)
         instance, number, value = self.public('get_output', _INT, _POINTER)
         self.fail_unless_below(number, count)
@@ -411,25 +415,25 @@ class _Body:
             ir.Constant(_INT, steps.MODAL - steps.FORCES))
         self.builder.call(self.module.globals['refresh'], [
             instance, self.builder.select(needs_forces, self.word(2), self.word(1))])
-        self.finish(self.call(own, instance, steps.get_output,
-                              self.builder.zext(number, _WORD), value))
+        self.emit_return(self.call(own, instance, steps.get_output,
+                                   self.builder.zext(number, _WORD), value))
         instance, values = self.public('get_outputs', _POINTER)
         self.builder.call(self.module.globals['refresh'], [instance, self.word(2)])
-        self.finish(self.call(own, instance, steps.get_outputs, self.word(count), values))
+        self.emit_return(self.call(own, instance, steps.get_outputs, self.word(count), values))
 
-    def states(self):
+    def define_states(self):
         instance, values = self.public('get_state', _POINTER)
         for model, each, place in self.each_state(instance, values):
             self.call(model, each, steps.get_state, place)
-        self.finish()
+        self.emit_return()
         instance, values = self.public('set_state', _POINTER)
         for model, each, place in self.each_state(instance, values):
             code = self.call(model, each, steps.check_state, place)
             with self.builder.if_then(self.builder.not_(self.equal(code, 0))):
-                self.finish(code)
+                self.emit_return(code)
         for model, each, place in self.each_state(instance, values):
             self.call(model, each, steps.set_state, place)
-        self.finish()
+        self.emit_return()
 
     def each_state(self, instance, values):
         """Yield the models with their instances and their parts of a saved state."""
@@ -438,7 +442,7 @@ class _Body:
             yield model, each, self.at(values, offset)
             offset += 8 * model.saved
 
-    def texts(self):
+    def define_texts(self):
         for name, texts in (
                 ('error_text', [TEXTS[code] for code in Code]),
                 ('input_name', [each.title for each in self.interface.inputs]),
@@ -456,14 +460,15 @@ class _Body:
     def write(self) -> ir.Module:
         """Return the module with all functions."""
         for model in self.models:
-            self.step_of(model)
-            self.observe_of(model)
+            self.define_model_step(model)
+            self.define_model_observe(model)
         if len(self.models) > 1:
-            self.follow()
-        self.refresh()
-        for part in (self.memory, self.inputs, self.parameters, self.step, self.derivatives,
-                     self.outputs, self.states, self.texts):
-            part()
+            self.define_follow()
+        self.define_refresh()
+        for define in (self.define_memory, self.define_inputs, self.define_parameters,
+                       self.define_step, self.define_derivatives, self.define_outputs,
+                       self.define_states, self.define_texts):
+            define()
         return self.module
 
 
