@@ -12,6 +12,7 @@ from typing import Any
 import numpy as np
 from numpy.typing import ArrayLike
 
+from timo_sim.model.differences import differences
 from timo_sim.model.formulation import PointsOfArm
 from timo_sim.model.layout import INPUTS, Motion
 from timo_sim.runs.linear import difference_steps, state_names
@@ -228,18 +229,20 @@ class Observer(Stateful, PointsOfArm):
 
     def _correct(self, shown):
         count, size = len(self.disturbance), len(self.states)
-        steps = np.append(self._steps, np.ones(count))  # loads act linearly
         numbers = np.append(self._places, self.model.size + np.arange(count))
-        shifts = np.diag(steps)[numbers]
-        expected, ahead, behind = np.split(self._readings(
-            shown, np.vstack([0.0 * shifts[:1], shifts, -shifts])), [1, 1 + size])
-        slope = (ahead - behind).T / (2.0 * steps[numbers])
+
+        def moved(shifts):
+            found = np.zeros((len(shifts), self.model.size + count))
+            found[:, numbers] = shifts
+            return self._readings(shown, found)
+        # Loads act linearly.
+        expected, slope = differences(moved, np.append(self._steps, np.ones(count))[numbers])
         noise = np.concatenate([np.full(len(values), np.sqrt(variance(self._values, name)))
                                 for name, values in shown.items()])
         # A factor of the joint covariance of readings and states (T58).
         root = _lower(np.block([
             [np.diag(noise), slope @ self._root], [np.zeros((size, len(noise))), self._root]]))
-        self.innovation = np.concatenate([*shown.values()]) - expected[0]
+        self.innovation = np.concatenate([*shown.values()]) - expected
         own, gain, self._root = (root[:len(noise), :len(noise)], root[len(noise):, :len(noise)],
                                  root[len(noise):, len(noise):])
         self.normalised_innovation = np.linalg.solve(own, self.innovation)

@@ -47,6 +47,7 @@ from typing import Any
 import numpy as np
 from numpy.typing import ArrayLike
 
+from timo_sim.model.differences import differences
 from timo_sim.model.exact_code import BAND, BANDS, SECTORS, Tables
 from timo_sim.model.formulation import Formulation, Points
 from timo_sim.model.layout import ANGLE, LOADS, SPEED
@@ -255,6 +256,5 @@ class Exact(Formulation):
         half = len(state) // 2
         shift[len(self.axes):half] = (
             1e-4 / np.append(1.0, self.section_turn_bound)[self.driven:])
-        return np.column_stack([
-            (model.rate(state + change, load) - model.rate(state - change, load)) / (2.0 * size)
-            for change, size in zip(np.diag(shift), shift)])
+        return differences(lambda shifts: np.array([
+            model.rate(state + change, load) for change in shifts]), shift)[1]

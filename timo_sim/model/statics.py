@@ -5,6 +5,7 @@
 
 import numpy as np
 
+from timo_sim.model.differences import differences
 from timo_sim.model.formulation import Formulation
 from timo_sim.model.layout import SPEED
 
@@ -90,9 +91,8 @@ class _Forces:
 
     def slope(self, motion):
         """Return the derivative of the flow, by central differences."""
-        return np.stack([
-            (self.flow(self.moved(motion, shift)) - self.flow(self.moved(motion, -shift)))
-            / (2.0 * shift.max()) for shift in np.diag(_SHIFT / self.turn)], axis=-1)
+        return differences(lambda shifts: np.array([
+            self.flow(self.moved(motion, shift)) for shift in shifts]), _SHIFT / self.turn)[1]
 
     def moved(self, motion, change):
         """Return the motion after a change of shaft and modes."""

@@ -14,6 +14,7 @@ import numpy as np
 from numpy.typing import ArrayLike
 
 from timo_sim.extras import optional
+from timo_sim.model.differences import differences
 from timo_sim.model.formulation import Formulation
 from timo_sim.model.layout import (
     ANGLE, INPUTS, LOADS, Motion, PUSH_X, PUSH_Y, rotate, TIP_TORQUE, TIP_X, TIP_Y, TORQUE,
@@ -164,7 +165,6 @@ def _indices(names, chosen, kind):
 # Step of the fourth-order differences: part of the arm's length, or angle of the section that
 # turns most [rad]. The tip's deflection is no measure, since a heavy tip hardly moves.
 _DIFFERENCE = 1e-3
-_STENCIL = ((-2, 1.0 / 12.0), (-1, -2.0 / 3.0), (1, 2.0 / 3.0), (2, -1.0 / 12.0))
 _INPUTS = [*CHANNELS.values(), VOLTAGE]  # columns of a load
 # Largest rate of a state that counts as an equilibrium [1/s].
 _MAX_RATE = 1e-9
@@ -376,13 +376,11 @@ def difference_steps(model: Formulation) -> np.ndarray:
 
 def _jacobian(model, function, at, columns):
     """Return the derivatives of a function of motions, shape (k, len(columns))."""
-    steps, found = difference_steps(model), []
-    for column in columns:
-        shift = np.zeros_like(at)
-        shift[column] = steps[column]
-        found.append(sum(weight * function(at + number * shift) for number, weight in _STENCIL)
-                     / steps[column])
-    return np.stack(found, axis=-1)
+    def moved(shifts):
+        motions = np.tile(at, (len(shifts), 1))
+        motions[:, columns] += shifts
+        return np.array([function(motion) for motion in motions])
+    return differences(moved, difference_steps(model)[columns], 4)[1]
 
 
 def _of_motion(model):
