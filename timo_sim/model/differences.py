@@ -35,5 +35,5 @@ def differences(function: Callable[[np.ndarray], np.ndarray], steps: np.ndarray,
     value, *found = np.split(function(np.vstack([
         0.0 * steps, *(number * shifts for number, _ in stencil)])), 1 + np.arange(
             len(stencil)) * len(steps))
-    slope = sum(weight * each for (_, weight), each in zip(stencil, found))
+    slope = np.sum([weight * each for (_, weight), each in zip(stencil, found)], axis=0)
     return value[0], slope.T / steps
