@@ -146,11 +146,13 @@ def differentiate(tables, propagator, bristles, places, begins, state, memory, s
         _set_inputs(load, unit, inputs, size - first, room.loads)
         done = 0
         while True:
-            observe(tables, now, room.loads[AFTER], motion)
-            start_bristles(tables, bristles, now, room.loads[AFTER], motion, done > 0, bent,
-                           room.memory)
-            if done == count or done > 0 and not linear_part_is_valid(
-                    tables, now, room.loads[AFTER]):
+            ends = done == count or done > 0 and not linear_part_is_valid(
+                tables, now, room.loads[AFTER])
+            if ends or len(bristles.reach):
+                observe(tables, now, room.loads[AFTER], motion)
+                start_bristles(tables, bristles, now, room.loads[AFTER], motion, done > 0, bent,
+                               room.memory)
+            if ends:
                 break
             for row in range(STEP_LOADS):
                 for i in range(LOADS):
