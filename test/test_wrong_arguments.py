@@ -79,7 +79,11 @@ def calls(folder):
         'inputs': '[]', 'duration': 'None 0', 'torque': number}
     yield simulator.set_motion, {'motion': run.values[0]}, {}
     yield simulator.advance, {'count': 1, 'commanded': None, 'sample_every': 1}, whole
-    yield timo_sim.EstimatingSimulator(scene).measure_error, {'steps': 0}, {'steps': '0'}
+    estimating = timo_sim.EstimatingSimulator(scene)
+    yield estimating.measure_error, {'steps': 0}, {'steps': '0'}
+    yield estimating.change, {'scene': scene}, {}
+    yield estimating.set_motion, {'motion': run.values[0]}, {}
+    yield estimating.warm_up, {'tell': None, 'messages': False}, {'tell': none}
 
     yield timo_sim.Batch, {'scenes': scene, 'n': 2}, {'scenes': '{}', 'n': none}
     yield batch.step, {'torque': 1.0, 'force': [0.0, 1.0], 'duration': 0.001}, {

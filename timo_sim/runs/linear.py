@@ -25,7 +25,7 @@ from timo_sim.scene.parameters import (
     checked, CONTACT, did_you_mean, numbers, NUMBERS, Parameter, ParameterError, TEXTS, warn)
 from timo_sim.scene.scene import load_scene, motor_constants, Scene, SceneLike
 from timo_sim.simulation.snapshot import Joints
-from timo_sim.steps.bristles import COLUMNS
+from timo_sim.steps.bristles import COLUMNS, REACH
 from timo_sim.topics.outputs import SENSORS
 
 _PERIOD = Parameter('dt', 1.0, 's', 'period', low=0.0, open_low=True)
@@ -314,7 +314,7 @@ def warn_of_friction(scene: Scene, model: Formulation) -> None:
     if (steep & free).any():
         warn('the linear model has the viscous friction of speeds well below coulomb_speed: for '
              'faster motions linearise without Coulomb friction')
-    if scene.bristles.any():
+    if scene.bristles[:, REACH].any():
         warn('the linear model has the spring of motions within coulomb_presliding: for larger '
              'motions linearise without Coulomb friction')
 

@@ -10,7 +10,7 @@ from dataclasses import dataclass
 import numpy as np
 
 from timo_sim.scene.parameters import (
-    checked, FUNCTION, Parameter, ParameterError, steps_in, warn)
+    checked, FUNCTION, Parameter, ParameterError, steps_in, TEXTS, warn)
 from timo_sim.scene.scene import (
     INITIAL, initial_names, initial_scale, load_scene, number_of, overrides_of, SceneLike)
 from timo_sim.simulation.batch import Batch
@@ -39,7 +39,8 @@ class Sensitivities:
     error: np.ndarray
 
 
-@checked(output=FUNCTION)
+@checked(output=FUNCTION, parameters=(
+    lambda given: isinstance(given, Mapping) or TEXTS[0](given), 'names, or sizes by name'))
 def sensitivities(scene: SceneLike, duration: float,
                   output: Callable[[Batch], np.ndarray] = Batch.position,
                   parameters: Sequence[str] | Mapping[str, float] = (),
