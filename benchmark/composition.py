@@ -245,7 +245,7 @@ def derivatives(scene):
     given, name = commands(scene), next(iter(commands(scene)))
     one = timo_sim.Simulator(scene)
     found = one.step_derivatives([name], duration=10 * STEP, **given)
-    start, size = timo_sim.Simulator(scene).motion.values, 1e-5
+    start, size = timo_sim.Simulator(scene).motion.values, 1e-7
 
     def end(motion, more=0.0):
         other = timo_sim.Simulator(scene)
@@ -424,7 +424,7 @@ def by_use(quick):
 def latin_square():
     """Return one use of each effect, and one effect of each use; each a pair of names."""
     uses = [*USES]
-    return [(uses[6 * k % len(uses)], effect) for k, effect in enumerate(EFFECTS)]
+    return [(uses[8 * k % len(uses)], effect) for k, effect in enumerate(EFFECTS)]
 
 
 def by_effect(quick):

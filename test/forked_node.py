@@ -3,6 +3,7 @@
 
 """Nodes that are forked from a process that has imported their modules, which saves time."""
 
+from contextlib import suppress
 import multiprocessing
 import os
 from pathlib import Path
@@ -50,7 +51,8 @@ class ForkedNode:
 
     def send_signal(self, number):
         if self.poll() is None:
-            os.kill(self.pid, number)
+            with suppress(ProcessLookupError):  # it has ended since
+                os.kill(self.pid, number)
 
     def kill(self):
         self.send_signal(signal.SIGKILL)

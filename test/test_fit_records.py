@@ -78,14 +78,11 @@ def test_a_fit_finds_the_truth_from_a_wrong_guess():
 
 
 @pytest.mark.filterwarnings('ignore::timo_sim.ModelWarning')
-@pytest.mark.parametrize('friction, sticks', [(0.0, False), (0.01, True)])
-def test_a_long_fit_says_what_makes_it_shorter(monkeypatch, friction, sticks):
+def test_a_long_fit_says_what_makes_it_shorter(monkeypatch):
     monkeypatch.setattr(result, '_LONG', 0.0)
     told = []
-    timo_sim.fit(SCENE.vary({'motor.coulomb_friction': friction}), made(SQUARE, 1),
-                 ['arm.young_modulus'], starts=1, tell=told.append)
+    timo_sim.fit(SCENE, made(SQUARE, 1), ['arm.young_modulus'], starts=1, tell=told.append)
     assert 'with fewer modes' in told[0]
-    assert ('coulomb_speed' in told[0]) == sticks
 
 
 def test_what_a_record_suggests_is_near_the_truth():

@@ -11,6 +11,7 @@ import rclpy
 from rclpy.duration import Duration
 from rclpy.exceptions import NameValidationException
 from rclpy.signals import SignalHandlerOptions
+from rclpy.validate_full_topic_name import validate_full_topic_name
 
 from timo_sim.ros.topics import message_class
 from timo_sim.scene.parameters import did_you_mean, ParameterError, short
@@ -80,6 +81,11 @@ def send(topic: str, words: Sequence[str], node: str, patience: float) -> str:
         raise ParameterError(f'TOPIC must be one of {", ".join(commands)}, got '
                              f'{short(topic)}{did_you_mean(topic, commands)}')
     command, full = commands[topic], f'/{node.strip("/")}/{topic}'
+    try:
+        validate_full_topic_name(full)
+    except NameValidationException:
+        raise ParameterError(
+            f'--node must be the full name of a node, got {short(node)}') from None
     message = pack(command.type_name, _content(topic, command, _read(topic, command, words)))
     end = time.monotonic() + patience
     rclpy.init(args=[], signal_handler_options=SignalHandlerOptions.NO)
@@ -94,9 +100,6 @@ def send(topic: str, words: Sequence[str], node: str, patience: float) -> str:
         publisher.publish(message)
         if not publisher.wait_for_all_acked(Duration(seconds=patience)):
             raise TimeoutError(f'{full} has a subscriber, which does not acknowledge the command')
-    except NameValidationException:
-        raise ParameterError(
-            f'--node must be the full name of a node, got {short(node)}') from None
     finally:
         rclpy.try_shutdown()
     return f'sent to {full}'
