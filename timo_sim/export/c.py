@@ -226,6 +226,12 @@ def export_c(scene: SceneLike, folder: Path | str, target: str = 'host', estimat
     'paper_in_c'
 
     """
+    return write_c(scene, folder, target, estimate, name)
+
+
+def write_c(scene: SceneLike, folder: Path | str, target: str = 'host', estimate: bool = False,
+            name: str = 'arm', derivatives: bool = True) -> Path:
+    """Do what `export_c` does; without `derivatives` NAME_step_derivatives is only declared."""
     scene, folder = load_scene(scene), Path(folder)
     if target not in ('host', *TARGETS):
         raise ParameterError(f'target must be host, {", ".join(TARGETS)}, got {short(target)}')
@@ -244,7 +250,7 @@ def export_c(scene: SceneLike, folder: Path | str, target: str = 'host', estimat
     else:
         simulators = [Simulator(scene)]
     folder.mkdir(parents=True, exist_ok=True)
-    made = library(simulators, interface, target, name)
+    made = library(simulators, interface, target, name, derivatives)
     texts = {f'{name}.h': _header(interface, made, scene.step, target, name),
              'main.c': _main(interface, scene.step, name), 'CMakeLists.txt': _fill(_CMAKE, name)}
     contents = {f'{name}.o': made.content,

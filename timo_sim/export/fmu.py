@@ -17,7 +17,7 @@ from uuid import UUID
 from xml.etree import ElementTree
 from zipfile import ZIP_DEFLATED, ZipFile, ZipInfo
 
-from timo_sim.export.c import export_c, find_compiler, link
+from timo_sim.export.c import find_compiler, link, write_c
 from timo_sim.export.constants import Interface, interface_of, Quantity
 from timo_sim.model.layout import with_unit
 from timo_sim.scene.files import check_target, whole_file
@@ -107,7 +107,7 @@ def export_fmu(scene: SceneLike, path: Path | str, version: int = 3, estimate: b
             path.stem, token, scene.step, variables)
 
     with TemporaryDirectory() as folder:
-        export_c(scene, folder, target, estimate, _NAME)
+        write_c(scene, folder, target, estimate, _NAME, derivatives=False)
         files = {file: Path(folder, file).read_bytes() for file in (f'{_NAME}.h', f'{_NAME}.o')}
         files |= {file: Path(__file__).with_name(file).read_bytes()
                   for file in ('fmi.h', f'fmi{version}.c')}

@@ -457,8 +457,8 @@ class _Body:
             self.builder.ret(self.element(
                 f'texts.{name}', _POINTER, [self.text(each) for each in texts], number))
 
-    def write(self) -> ir.Module:
-        """Return the module with all functions."""
+    def write(self, derivatives: bool) -> ir.Module:
+        """Return the module with all functions, those of derivatives if asked for."""
         for model in self.models:
             self.define_model_step(model)
             self.define_model_observe(model)
@@ -466,8 +466,8 @@ class _Body:
             self.define_follow()
         self.define_refresh()
         for define in (self.define_memory, self.define_inputs, self.define_parameters,
-                       self.define_step, self.define_derivatives, self.define_outputs,
-                       self.define_states, self.define_texts):
+                       self.define_step, *derivatives * [self.define_derivatives],
+                       self.define_outputs, self.define_states, self.define_texts):
             define()
         return self.module
 
@@ -481,18 +481,19 @@ class Library(NamedTuple):
     motion: int  # count of numbers of a motion
 
 
-def library(simulators: list[Any], interface: Interface, target: str, name: str) -> Library:
+def library(simulators: list[Any], interface: Interface, target: str, name: str,
+            derivatives: bool = True) -> Library:
     """
     Return the object file of a model or, with its finer one, of two.
 
-    `simulators` are at their start. For `target` see `compiled.machine.target_machine`; names of
-    functions begin with `name`.
+    `simulators` are at their start; `derivatives` says whether those of a step are there. For
+    `target` see `compiled.machine.target_machine`; names of functions begin with `name`.
     """
     target_machine = machine.target_machine(target)
     models = [_Model(each, number, target, interface)
               for number, each in enumerate(simulators)]
     body = _Body(models, interface, name)
-    module = llvm.parse_assembly(str(body.write()))
+    module = llvm.parse_assembly(str(body.write(derivatives)))
     module.triple = str(target_machine.triple)
     module.data_layout = str(target_machine.target_data)
     for each in [part for model in models for part in model.modules]:

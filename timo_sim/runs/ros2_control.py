@@ -12,7 +12,7 @@ from tempfile import TemporaryDirectory
 from typing import Any
 from xml.etree import ElementTree
 
-from timo_sim.export.c import export_c, link
+from timo_sim.export.c import link, write_c
 from timo_sim.export.constants import interface_of
 from timo_sim.log.read import LogFile
 from timo_sim.log.write import NewLog
@@ -56,7 +56,7 @@ def write_hardware(scene: Scene, values: Mapping[str, Any],
     library = Path(library).resolve()
     check_target(library)
     with TemporaryDirectory() as folder:
-        export_c(scene, folder)
+        write_c(scene, folder, derivatives=False)
         Path(folder, 'scene.c').write_text(_scene_in_c(scene, values, folder))
         content = link(folder, ['scene.c', 'arm.o'], 'arm_*')
     library.parent.mkdir(parents=True, exist_ok=True)
