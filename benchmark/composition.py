@@ -36,6 +36,8 @@ from timo_sim.scene.files import scene_text
 from timo_sim.scene.parameters import NODE, PARAMETERS
 from timo_sim.simulation.finer import tip_distances
 
+# Tolerances of cells are some ten times the errors of the differences, steps or linear models that
+# they compare with; where bits must be equal, bits are compared.
 STEPS, STEP = 60, 0.001  # of a run, and their length [s]
 DURATION = STEPS * STEP
 # An arm that moves, of which every value is stated.

@@ -147,8 +147,7 @@ class Batch(Stateful):
     Raises
     ------
     ParameterError
-        If the scenes differ in size, or have what a batch cannot do: a carrier that is held along
-        one axis beside a free or driven shaft, `model.accuracy`, payloads that change.
+        If the scenes differ in size, or have a `model.accuracy`.
 
     Examples
     --------
@@ -325,18 +324,23 @@ class Batch(Stateful):
         tips = [lanes.room(0, 3)]
         first = 0
         while first < count:
-            now, before = self.steps + first, self._tips and lanes.motion.copy()
+            now, changes = self.steps + first, self._changes
+            before = lanes.motion.copy() if changes else None
             part = min(most, count - first, self._change_tips(now) - now)
             varying = loads.varying(now, part, self._origin)
             at_starts = lanes.room(part if with_tips else 0, 3)
             lanes.advance(loads.columns, varying, sample_every, first, samples, at_starts)
-            if self._tips and sample_every and first % sample_every == 0:
+            if self._changes != changes and sample_every and first % sample_every == 0:
                 samples[:, first // sample_every] = before  # a sample is from before a change
             if with_tips:
                 tips += [at_starts[:, 1:], lanes.tip[:, np.newaxis].copy()]
             first += part
         self.steps += count
         return samples, tips
+
+    @property
+    def _changes(self):
+        return [tip.changes for tip in self._tips.values()]
 
     def _change_tips(self, now):
         # Make the changes of loads at tips that are due; return the step of the next one.

@@ -1,7 +1,7 @@
 # Copyright 2026 The timo_sim authors
 # SPDX-License-Identifier: Apache-2.0
 
-"""What derivatives of steps are taken by."""
+"""The derivatives of steps as a user sees them, and the loads that they are by."""
 
 from __future__ import annotations
 

@@ -285,7 +285,7 @@ class EstimatingSimulator(Simulator):
         with self._lock:
             self.measure_error()
             super().change(scene)
-            self.finer.change(refine(scene, self._parts))
+            self.finer.change(refine(self.scene, self._parts))  # with the shapes that it keeps
 
     @checked(tell=FUNCTION, messages=FLAG)
     def warm_up(self, tell: Callable[[str], object] | None = None, messages: bool = False) -> None:

@@ -201,7 +201,6 @@ def step_derivatives(steps: Steps, state: np.ndarray, load: np.ndarray, loads: n
     Parameters
     ----------
     steps : Steps
-        Without friction that sticks.
     state, load, loads
         As in `Steps.advance`; the state stays, and the memory of the steps.
     unit : ndarray, shape (k, LOADS)

@@ -42,7 +42,7 @@ class LaneSteps:
 
     The models are of one class, with tables of the same shapes and the same free coordinates. A
     run whose arm is bent by more than `bend_limit` arm lengths counts as diverged. `bristles`,
-    (n, 4, 3), are `Scene.bristles` of each. `alike` says that lanes with the same model may share
+    (n, 4, 5), are `Scene.bristles` of each. `alike` says that lanes with the same model may share
     its constants, so that none can be changed.
 
     Arrays have the shape (groups, ..., WIDTH): `state`, m numbers; `progress`, whether a lane is
