@@ -3,6 +3,7 @@
 
 """A person at a running node: what RViz sees, `timo_sim send`, and keys of example/teleop.py."""
 
+import contextlib
 import os
 from pathlib import Path
 import pty
@@ -79,7 +80,9 @@ class Terminal:
             **{'stdin': self.slave, 'stdout': self.slave, 'stderr': self.slave, **streams})
 
     def press(self, key):
-        os.write(self.master, key)
+        """Press a key; a terminal whose program does not read yet loses keys when it is full."""
+        with contextlib.suppress(BlockingIOError):
+            os.write(self.master, key)
 
     def shown(self):
         try:
