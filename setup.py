@@ -19,7 +19,7 @@ class Build(build_py):
         # pip hands on by PYTHONPATH what it has installed for the build.
         paths = [built, *filter(None, [os.environ.get('PYTHONPATH')])]
         done = subprocess.run(
-            [sys.executable, '-m', 'timo_sim.simulation.prebuilt',
+            [sys.executable, '-m', 'timo_sim.export.prebuilt',
              os.path.join(built, 'timo_sim', 'compiled', 'prebuilt'),
              *['editable'] * self.editable_mode],
             cwd=built, env={**os.environ, 'PYTHONPATH': os.pathsep.join(paths)})

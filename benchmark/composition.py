@@ -30,7 +30,7 @@ import timo_sim
 from timo_sim.export.c import link
 from timo_sim.export.constants import interface_of
 from timo_sim.model.layout import Motion
-from timo_sim.runs.ros2_control import write_hardware
+from timo_sim.export.ros2_control import write_hardware
 from timo_sim.runs.sweep import run_lanes
 from timo_sim.scene.files import scene_text
 from timo_sim.scene.parameters import NODE, PARAMETERS

@@ -16,7 +16,7 @@ import timo_sim
 from timo_sim.export.constants import interface_of
 from timo_sim.model.layout import FORCE_X, LOADS, place, TORQUE
 from timo_sim.scene.loads import CHANNELS
-from timo_sim.steps.instance import SAVED
+from timo_sim.export.instance import SAVED
 
 ROOT = Path(__file__).resolve().parents[1]
 RUN, ABUSE = (ROOT / 'test/data' / name for name in ('run_arm.c', 'abuse_arm.c'))
@@ -367,7 +367,7 @@ def test_refused(tmp_path):
 EXPORTS = """
 from pathlib import Path
 import timo_sim
-from timo_sim.runs.ros2_control import write_hardware
+from timo_sim.export.ros2_control import write_hardware
 scene = timo_sim.load_scene('paper', {'model.modes': 0})
 before = {*Path('code').rglob('*')}
 for export, *arguments, path in (

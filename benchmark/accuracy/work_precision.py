@@ -249,7 +249,7 @@ def cold_starts(quick):
     with TemporaryDirectory() as folder:
         # As pip installs it, with intermediate code and byte code.
         shutil.copytree(ROOT / 'timo_sim', Path(folder, 'timo_sim'))
-        subprocess.run([sys.executable, '-m', 'timo_sim.simulation.prebuilt',
+        subprocess.run([sys.executable, '-m', 'timo_sim.export.prebuilt',
                         Path(folder, 'timo_sim', 'compiled', 'prebuilt')], check=True, cwd=ROOT)
         subprocess.run([sys.executable, '-m', 'compileall', '-q', folder], check=True)
         for name, code in COLD.items():

@@ -238,7 +238,7 @@ def start_rows(times):
                 **ENVIRONMENT, 'HOME': str(home), 'NUMBA_CACHE_DIR': str(home),
                 'PYTHONPATH': os.pathsep.join([folder, ENVIRONMENT['PYTHONPATH']])}
             if name == 'installed':
-                with running(['-m', 'timo_sim.simulation.prebuilt',
+                with running(['-m', 'timo_sim.export.prebuilt',
                               str(package / 'compiled' / 'prebuilt'), 'editable'],
                              env=environment, cwd=folder) as build:
                     if build.wait():

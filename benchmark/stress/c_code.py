@@ -17,7 +17,7 @@ import timo_sim
 from timo_sim.export.constants import interface_of
 from timo_sim.model.layout import LOADS
 from timo_sim.scene.loads import Harmonic
-from timo_sim.steps.instance import SAVED
+from timo_sim.export.instance import SAVED
 
 CALLS, STEPS = 10, 20  # of `arm_step`, with new commands each, and time steps of a call
 _COMMAND = 1e-3  # standard deviation of commands, besides the loads of the scenes [SI]

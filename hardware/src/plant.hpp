@@ -16,7 +16,7 @@
 namespace timo_sim_hardware
 {
 
-// What the shared object has besides the functions of arm.h, see timo_sim/runs/ros2_control.py.
+// What the shared object has besides the functions of arm.h, see timo_sim/export/ros2_control.py.
 extern "C" {
 struct Field {int place; int number;};  // in a message [bytes], of an output or an input
 

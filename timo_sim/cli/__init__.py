@@ -603,7 +603,7 @@ def urdf(scene: str, settings: tuple[str, ...], library: str | None) -> None:
     loaded = scene_from(values)
     control = None
     if library:
-        from timo_sim.runs.ros2_control import write_hardware
+        from timo_sim.export.ros2_control import write_hardware
         control = write_hardware(loaded, values, library)
     click.echo(urdf_of(loaded.manipulator, frame_names(values), control))
 

@@ -31,7 +31,7 @@ import platformdirs
 
 _CHECKSUM = 32  # length of a SHA-256 checksum [B]
 _OTHERS_WRITE = stat.S_IWGRP | stat.S_IWOTH
-PREBUILT = Path(__file__).with_name('prebuilt')  # see `simulation/prebuilt.py`
+PREBUILT = Path(__file__).with_name('prebuilt')  # see `export/prebuilt.py`
 # Folders with the sources of compiled functions.
 _SOURCES = [Path(__file__).parents[1] / folder for folder in ('compiled', 'model', 'steps')]
 

@@ -13,13 +13,13 @@ import subprocess
 
 from timo_sim.compiled.machine import TARGETS
 from timo_sim.export.constants import Interface, interface_of, Quantity, refuse
+from timo_sim.export.instance import Code
 from timo_sim.export.library import library, TEXTS
 from timo_sim.scene.files import check_target, whole_file
 from timo_sim.scene.parameters import checked, FLAG, ParameterError, PATH, short, TEXT
 from timo_sim.scene.scene import load_scene, SceneLike
 from timo_sim.simulation.finer import EstimatingSimulator
 from timo_sim.simulation.simulator import Simulator
-from timo_sim.steps.instance import Code
 from timo_sim.version import __version__
 
 # The templates have `name` and `NAME` as words or first parts of words, see `_fill`.

@@ -8,12 +8,12 @@ from typing import NamedTuple
 import numpy as np
 
 from timo_sim.compiled.constants import pack, Packed
+from timo_sim.export.instance import Plant
 from timo_sim.model.layout import INPUTS
 from timo_sim.scene.parameters import ParameterError, PARAMETERS
 from timo_sim.scene.scene import Scene
 from timo_sim.simulation.finer import choose_parts
 from timo_sim.simulation.simulator import MOST_BENT, Simulator
-from timo_sim.steps.instance import Plant
 
 
 class Quantity(NamedTuple):

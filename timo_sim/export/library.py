@@ -17,16 +17,16 @@ import numpy as np
 from timo_sim.compiled import machine
 from timo_sim.compiled.constants import pack, Packed
 from timo_sim.compiled.functions import Constants, WIDTH
+from timo_sim.export import instance as steps
 from timo_sim.export.constants import Interface, plant_of
+from timo_sim.export.instance import Code, Instance, KNOWN, LOST, MAGIC, PART, SAVED
 from timo_sim.model.functions import tips
 from timo_sim.model.layout import LOADS, STEP_LOADS
 from timo_sim.simulation.derivatives import unit_loads_of
 from timo_sim.simulation.loads import Actuators
-from timo_sim.steps import instance as steps
 from timo_sim.steps.bristles import MEMORY
 from timo_sim.steps.derivatives import entry_for
 from timo_sim.steps.etdrk4 import advance
-from timo_sim.steps.instance import Code, Instance, KNOWN, LOST, MAGIC, PART, SAVED
 
 _POINTER, _WORD, _INT, _REAL = ir.PointerType(), ir.IntType(64), ir.IntType(32), ir.DoubleType()
 _ALIGNMENT = 8  # of the memory of an instance [B]

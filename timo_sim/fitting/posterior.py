@@ -19,8 +19,9 @@ import numpy as np
 
 from timo_sim.fitting.problem import NORMAL
 from timo_sim.fitting.search import Search
+from timo_sim.scene.numbers import overrides_of
 from timo_sim.scene.parameters import Parameter, PARAMETERS
-from timo_sim.scene.scene import overrides_of, Scene
+from timo_sim.scene.scene import Scene
 
 _MAX_RATIO = 1.5  # of the rise of squares at the ends of an interval to the quadratic one
 _NEAR = 0.01  # relative distance from the end of a profile interval that counts as none

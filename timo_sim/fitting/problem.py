@@ -26,10 +26,12 @@ from scipy.signal import lfilter
 from timo_sim.fitting.record import Channel, DRIVE, OUTPUTS, Record, unit_of
 from timo_sim.model.layout import INPUTS
 from timo_sim.runs.run import Run, run_scene
+from timo_sim.scene.bodies import motor_constants
 from timo_sim.scene.loads import Load, on_boundaries, Table
+from timo_sim.scene.numbers import (
+    INITIAL, initial_names, initial_scale, number_of, overrides_of)
 from timo_sim.scene.parameters import did_you_mean, ModelWarning, ParameterError, short, StepError
-from timo_sim.scene.scene import (
-    INITIAL, initial_names, initial_scale, motor_constants, number_of, overrides_of, Scene)
+from timo_sim.scene.scene import Scene
 from timo_sim.simulation.warnings import DivergenceError
 
 # What a quantity of the record is multiplied by, added to and late by. `lag` is the time constant

@@ -24,8 +24,8 @@ from scipy.optimize import least_squares
 from timo_sim.fitting.problem import loads_of, Problem, SENSOR
 from timo_sim.fitting.record import Channel, DRIVE
 from timo_sim.model.layout import AFTER, TORQUE
+from timo_sim.scene.bodies import motor_constants
 from timo_sim.scene.parameters import ParameterError
-from timo_sim.scene.scene import motor_constants
 from timo_sim.simulation.snapshot import add_bristles, joints_of_run
 from timo_sim.simulation.warnings import DivergenceError
 

@@ -25,7 +25,8 @@ from timo_sim.ros.topics import Commands, LateOutlet, MotionOutlet, Outlet, RunL
 from timo_sim.runs.simulate import resolve
 from timo_sim.scene.parameters import (
     frame_names, LATEST, ParameterError, PARAMETERS, SCENE)
-from timo_sim.scene.scene import find_implausible, scene_from
+from timo_sim.scene.plausible import find_implausible
+from timo_sim.scene.scene import scene_from
 from timo_sim.simulation.finer import EstimatingSimulator, STEPS_BEHIND
 from timo_sim.simulation.simulator import Simulator
 from timo_sim.simulation.snapshot import Snapshot

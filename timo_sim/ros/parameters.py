@@ -25,8 +25,9 @@ from rclpy.subscription import Subscription
 from timo_sim.ros.private import overrides
 from timo_sim.scene.files import is_for, is_of_rclpy, QOS
 from timo_sim.scene.parameters import (
-    check, complete, did_you_mean, find_outdated, gives_arm, Parameter as Rule, ParameterError,
+    check, complete, did_you_mean, gives_arm, Parameter as Rule, ParameterError,
     PARAMETERS, RATES, short, whole_ratio)
+from timo_sim.scene.plausible import find_outdated
 
 _SOURCE = 'set at run time'
 # QoS policies that can be set. With history keep_all a slow subscriber would hold up the node.

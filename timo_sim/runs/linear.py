@@ -20,10 +20,11 @@ from timo_sim.model.layout import (
     ANGLE, INPUTS, LOADS, Motion, PUSH_X, PUSH_Y, rotate, TIP_TORQUE, TIP_X, TIP_Y, TORQUE,
     VOLTAGE)
 from timo_sim.model.modes import compliance
+from timo_sim.scene.bodies import motor_constants
 from timo_sim.scene.loads import CHANNELS
 from timo_sim.scene.parameters import (
     checked, CONTACT, did_you_mean, numbers, NUMBERS, Parameter, ParameterError, TEXTS, warn)
-from timo_sim.scene.scene import load_scene, motor_constants, Scene, SceneLike
+from timo_sim.scene.scene import load_scene, Scene, SceneLike
 from timo_sim.simulation.snapshot import Joints
 from timo_sim.steps.bristles import COLUMNS, REACH
 from timo_sim.topics.outputs import SENSORS

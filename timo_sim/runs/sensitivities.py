@@ -11,8 +11,9 @@ import numpy as np
 
 from timo_sim.scene.parameters import (
     checked, FUNCTION, Parameter, ParameterError, steps_in, TEXTS, warn)
-from timo_sim.scene.scene import (
-    INITIAL, initial_names, initial_scale, load_scene, number_of, overrides_of, SceneLike)
+from timo_sim.scene.numbers import (
+    INITIAL, initial_names, initial_scale, number_of, overrides_of)
+from timo_sim.scene.scene import load_scene, SceneLike
 from timo_sim.simulation.batch import Batch
 from timo_sim.simulation.warnings import DivergenceError
 

@@ -2,22 +2,23 @@
 # SPDX-License-Identifier: Apache-2.0
 
 """
-Loads that a scene prescribes over time, and the prescribed angle of a driven shaft.
+Loads that a scene prescribes over time, the angle of a driven shaft, and loads at the tip.
 
 Loads are harmonic, piecewise constant, linear between points, or sums of those. `steps.loads`
 computes what the steps see of them. A jump inside a step is refused.
 """
 
-from collections.abc import Sequence
+from bisect import bisect_left
+from collections.abc import Mapping, Sequence
 from dataclasses import dataclass
+from functools import lru_cache
 from typing import Any
 
 import numpy as np
 
 from timo_sim.compiled.functions import WIDTH
 from timo_sim.model.layout import ACCELERATION, ANGLE, INPUTS, LOADS, STEP_LOADS
-from timo_sim.scene.parameters import StepError
-from timo_sim.steps.bristles import fastest, mobilities, MORE, REACH, SLOW, springs_of
+from timo_sim.scene.parameters import ParameterError, same_length, short, whole_ratio
 from timo_sim.steps.loads import add_scene_loads, NEAR, POINT, SceneLoads
 
 # Columns of the inputs that a scene may prescribe over time, by name.
@@ -171,44 +172,72 @@ def on_boundaries(times: Any, step: float) -> np.ndarray:
     return np.where(np.abs(times / step - whole) <= NEAR, whole * step, times)
 
 
-# A step is stable up to 2.785 over the rate at which friction brakes joints, as is measured for 0
-# to 5 modes; the mobility of joints may grow a little in a run.
-_STABLE = 2.5
-# Largest phase in a step of the fastest vibration of a gear with play, or of joints on bristles.
-# From 1.5 on contacts without damping gain energy, as is measured for rigid and bending arms, held
-# and free.
-_CONTACT = 1.0
+# Parameters of a load's terms, by its name.
+TERM_NAMES = {channel: tuple(f'load.{channel}.{name}' for name in (
+    'harmonic.amplitude', 'harmonic.frequency', 'harmonic.phase', 'piecewise.time',
+    'piecewise.value', 'table.time', 'table.value')) for channel in CHANNELS}
 
 
-def check_slope(scene: Any) -> None:
-    """Raise StepError if steps are too long for friction over a speed or way, or for backlash."""
-    gear, bristles = scene.manipulator.gear, scene.bristles
-    # By joint as bristles: carrier x, y, rotor or shaft, shaft of an elastic gear.
-    limit, speed, asymmetry = np.array(scene.manipulator.coulomb)[
-        [0, 0, 2 if gear else 1, 1]].T * [[1.0, 1.0, 1.0, bool(gear)], 4 * [1.0], 4 * [1.0]]
-    if not limit.any() and not bristles[:, REACH].any() and not (gear and gear.backlash):
-        return
-    mobile = mobilities(scene.build(), scene.initial_motion())
-    # The steepest slope of t (1 + a t) is at most 1 + 0.52 a times the one at rest, and that of
-    # 1 / (1 + x^2) is 0.65.
-    slope = limit / speed * (1.0 + 0.52 * np.abs(asymmetry)) + 0.65 * bristles[
-        :, :2].max(axis=1) * np.abs(bristles[:, MORE]) / bristles[:, SLOW]
-    rate = fastest(slope, mobile)
-    bristle = np.sqrt(fastest(springs_of(bristles), mobile))
-    contact = 0.0
-    if gear and gear.backlash:  # its twist is the rotor's angle less that of the shaft
-        contact = max(np.sqrt(gear.stiffness * (each[2, 2] + each[3, 3] - 2.0 * each[2, 3]))
-                      for each in mobile)
-    for found, most, what, name, power in (
-            (contact, _CONTACT, 'backlash of a gear with this stiffness', 'motor.gear.stiffness',
-             -2),
-            (bristle, _CONTACT, 'Coulomb friction with so small a presliding',
-             'coulomb_presliding', 2),
-            (rate, _STABLE, 'Coulomb friction with this slope', 'coulomb_speed', 1)):
-        if found * scene.step > most:
-            longest = 0.99 * most / found
-            default = ' (as large as 0.001 rad or 0.0001 m by default)' * (power == 2)
-            raise StepError(f'integrator.step = {scene.step:g} s must be at most {longest:.3g} s '
-                            f'for {what}: take that, or a {name} '
-                            f'{(scene.step / longest)**power:.3g} times as large{default}',
-                            longest)
+def load_of(values: Mapping[str, Any]) -> Load:
+    """Return the Load that the values describe, or raise ParameterError."""
+    return Load({channel: _terms_of(channel, tuple([values[name] for name in names]),
+                                    values['integrator.step'])
+                 for channel, names in TERM_NAMES.items()}, _drive(values))
+
+
+@lru_cache(maxsize=4 * len(TERM_NAMES))
+def _terms_of(channel, given, step):
+    # Equal terms are one object, so that scenes under the same load can share what follows of it.
+    values = dict(zip(TERM_NAMES[channel], given))
+    return tuple(_terms(f'load.{channel}', values, step)) if any(given) else ()
+
+
+def _terms(prefix, values, step):
+    amplitude = values[f'{prefix}.harmonic.amplitude']
+    phase = values[f'{prefix}.harmonic.phase'] or (0.0,) * len(amplitude)
+    yield from map(Harmonic, *same_length({
+        f'{prefix}.harmonic.amplitude': amplitude,
+        f'{prefix}.harmonic.frequency': values[f'{prefix}.harmonic.frequency'],
+        f'{prefix}.harmonic.phase': phase}))
+    for kind, term, ordered in (('piecewise', Piecewise, np.less),
+                                ('table', Table, np.less_equal)):
+        names = f'{prefix}.{kind}.time', f'{prefix}.{kind}.value'
+        time, value = same_length({name: values[name] for name in names})
+        if not time:
+            continue
+        if not np.all(ordered(time[:-1], time[1:])):
+            raise ParameterError(f'{names[0]} must ascend, got {short(list(time))}')
+        for jump in term(time, value).jumps():
+            place = bisect_left(time, jump)
+            whole_ratio(f'{names[0]}[{place}]', jump, 'integrator.step', step)
+        yield term(time, value)
+
+
+def _drive(values):
+    names = [f'motor.drive.{name}' for name in ('time', 'angle', 'speed', 'acceleration')]
+    points = same_length({name: values[name] for name in names})
+    shaft, time, acceleration = values['motor.shaft'], points[0], points[3]
+    if (shaft == 'driven') != bool(time):
+        raise ParameterError(f'motor.drive must be given with motor.shaft = driven, and only '
+                             f'then; got {len(time)} points with motor.shaft = {shaft}')
+    if shaft == 'locked':
+        return Drive((0.0,), (values['initial.shaft'],), (0.0,), (0.0,))
+    if not time:
+        return None
+    if time[0] != 0.0 or not np.all(np.less(time[:-1], time[1:])):
+        raise ParameterError(f'motor.drive.time must ascend from 0, got {short(list(time))}')
+    if acceleration[-1] != 0.0:
+        raise ParameterError('motor.drive.acceleration must end with 0, since the shaft goes on '
+                             f'at the last speed; got {acceleration[-1]}')
+    return Drive(*points)
+
+
+def payloads_of(values: Mapping[str, Any]) -> tuple[tuple[int, float, float], ...]:
+    """Return the steps at which loads at the tip change, and its mass and inertia from then on."""
+    times, masses, inertias = same_length({
+        name: values[name] for name in ('payload.time', 'payload.mass', 'payload.inertia')})
+    if not np.all(np.less(times[:-1], times[1:])):
+        raise ParameterError(f'payload.time must ascend, got {short(list(times))}')
+    steps = [whole_ratio(f'payload.time[{k}]', time, 'integrator.step', values['integrator.step'])
+             for k, time in enumerate(times)]
+    return tuple(zip(steps, masses, inertias))

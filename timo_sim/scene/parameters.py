@@ -27,6 +27,7 @@ import numpy as np
 from timo_sim.model import FORMULATIONS
 from timo_sim.model.bodies import SHAPES
 from timo_sim.model.layout import INPUTS
+from timo_sim.topics.commands import JOINTS
 from timo_sim.topics.outputs import FRAMES, outputs, SENSORS, TRANSFORMS
 
 SCENE, NODE = 'scene', 'node'
@@ -169,6 +170,14 @@ def whole_ratio(name: str, value: float, unit_name: str, unit: float) -> int:
         raise ParameterError(f'{name} = {value:.12g} must be a whole multiple of '
                              f'{unit_name} = {unit:.12g}, the ratio is {ratio:.15g}')
     return count
+
+
+def same_length(lists: Mapping[str, Any]) -> tuple[Any, ...]:
+    """Return lists by name if they have the same length, or raise ParameterError."""
+    if len({len(values) for values in lists.values()}) > 1:
+        lengths = ', '.join(f'{name}: {len(values)}' for name, values in lists.items())
+        raise ParameterError(f'these must have the same length, got {lengths}')
+    return tuple(lists.values())
 
 
 def _positive(name, default, unit, meaning, **more):
@@ -441,6 +450,8 @@ PARAMETERS = {parameter.name: parameter for parameter in _ALL}
 DEFAULTS = {name: parameter.default for name, parameter in PARAMETERS.items()}
 RATES = [name for name in PARAMETERS if name.startswith('rate.')]
 DELAYS = [name for name in PARAMETERS if name.endswith('.delay')]
+POSITIONS = [f'initial.{joint}' for joint in JOINTS]
+VELOCITIES = [f'{name}_velocity' for name in POSITIONS]
 
 
 def check(values: Mapping[str, Any], source: str) -> dict[str, Any]:
@@ -570,8 +581,8 @@ def check_runtime(values: Mapping[str, Any], later: Mapping[str, Any]) -> None:
 
 
 # What a scene of its own has where it does not say; the paper's manipulator has other values.
-_NEUTRAL = {'carrier.mass': 0.0, 'motor.mass': 0.0, 'motor.shaft_inertia': 0.0,
-            'end_effector.mass': 0.0, 'end_effector.inertia': 0.0, 'initial.shaft': 0.0}
+NEUTRAL = {'carrier.mass': 0.0, 'motor.mass': 0.0, 'motor.shaft_inertia': 0.0,
+           'end_effector.mass': 0.0, 'end_effector.inertia': 0.0, 'initial.shaft': 0.0}
 
 
 def gives_arm(names: Iterable[str]) -> bool:
@@ -587,7 +598,7 @@ def complete(given: Mapping[str, Any], own: bool) -> dict[str, Any]:
     mass, no load and a straight arm at rest at angle 0. Raises ParameterError if such a scene
     lacks a value that nobody can assume.
     """
-    values = {**DEFAULTS, **(_NEUTRAL if own else {}), **given}
+    values = {**DEFAULTS, **(NEUTRAL if own else {}), **given}
     for name, why in _asked_for(values) if own else ():
         profile = name.replace('section.', '').replace('arm.', 'arm.profile.')
         if name not in given and not given.get(profile):
@@ -613,19 +624,6 @@ def _asked_for(values):
         yield 'motor.shaft_inertia', f' with motor.shaft = {values["motor.shaft"]}'
     if values['carrier.held'] != 'both':
         yield 'carrier.mass', f' with carrier.held = {values["carrier.held"]}'
-
-
-def find_outdated(given: Mapping[str, Any], values: Mapping[str, Any]) -> str | None:
-    """Return a warning about what a scene of its own without version leaves out, or None."""
-    still = {'motor.mass': values['carrier.held'] == 'both' and not any(values['gravity']),
-             'initial.shaft': values['motor.shaft'] == 'driven'}
-    old = [f'{name} = {values[name]:g} (was {DEFAULTS[name]:g})' for name in _NEUTRAL
-           if name not in given and name in (
-               'end_effector.mass', 'end_effector.inertia', *still) and not still.get(name)]
-    if not old or 'scene_version' in given:
-        return None
-    return ('values that this scene leaves out are no longer those of the paper: '
-            f'{", ".join(old)}; give them, or scene_version: 1 if this is meant')
 
 
 def stated(values: Mapping[str, Any]) -> dict[str, Any]:

@@ -15,10 +15,10 @@ import numpy as np
 from timo_sim.compiled.functions import WIDTH
 from timo_sim.model.layout import (
     AFTER, INPUTS, LOADS, Motion, rotate, START, STEP_LOADS, TORQUE, VOLTAGE)
+from timo_sim.scene.bodies import motor_constants
 from timo_sim.scene.loads import CHANNELS, Load
 from timo_sim.scene.parameters import numbers, Parameter, ParameterError, steps_in
-from timo_sim.scene.scene import (
-    load_scene, motor_constants, Scene, scene_from, SceneLike)
+from timo_sim.scene.scene import load_scene, Scene, scene_from, SceneLike
 from timo_sim.simulation.loads import (
     Actuators, commanded_load, limits_of, tip_of, TipLoad, whole_load)
 from timo_sim.simulation.simulator import COUNT, MOST_BENT, SAMPLE_EVERY, Stateful

@@ -12,7 +12,7 @@ import numpy as np
 
 from timo_sim.model.layout import INPUTS, LOADS, TORQUE, VOLTAGE
 from timo_sim.scene.parameters import ParameterError
-from timo_sim.scene.scene import motor_constants
+from timo_sim.scene.bodies import motor_constants
 from timo_sim.simulation.loads import ARGUMENTS, check_arguments
 
 

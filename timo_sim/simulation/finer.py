@@ -28,8 +28,9 @@ from timo_sim.model.layout import rotate
 from timo_sim.model.modes import axial_modes
 from timo_sim.scene.loads import on_boundaries
 from timo_sim.scene.parameters import checked, FLAG, FUNCTION, ParameterError, WHOLE
-from timo_sim.scene.scene import (
-    AXIAL_PHASE, load_scene, MORE_MODES, needed_static, Scene, scene_from, SceneLike)
+from timo_sim.scene.scene import load_scene, Scene, scene_from, SceneLike
+from timo_sim.scene.static_shapes import (
+    AXIAL_PHASE, MORE_MODES, needed_static, needed_static_of_finer)
 from timo_sim.simulation.simulator import Simulator
 from timo_sim.simulation.warnings import (
     DivergenceError, inaccurate, more_axial, MOST_APART, NO_FINER_RUN, unseen_load)
@@ -68,8 +69,8 @@ def refine(scene: Scene, parts: int, modes: int | None = None, axial: int | None
     if not bending:
         modes = axial = 0  # a rigid arm stays rigid
     if not same_equations:
-        static += tuple(load for load in needed_static(scene, bending + modes)
-                        if load not in static)
+        static += tuple(load for load in needed_static_of_finer(
+            scene.manipulator, bending + modes) if load not in static)
     if not scene.manipulator.arm.stretches:
         axial = 0
     own, shapes = len(scene.static), len(static)
@@ -217,7 +218,7 @@ def _remedy(run, parts, errors):
     scene = run.scene
     changes = {'a smaller integrator.step': (parts, 0, 0, True),
                'more model.modes': (1, None, 0, True)}
-    if not {*needed_static(scene)} <= {*scene.static}:
+    if not {*needed_static(scene.manipulator, scene.values['model.modes'])} <= {*scene.static}:
         changes = {'model.static_modes auto': (1, 0, 0, False), **changes}
     exact, stretches = (scene.values['model.formulation'] == 'exact',
                         scene.manipulator.arm.stretches)

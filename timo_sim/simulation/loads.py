@@ -16,8 +16,9 @@ from timo_sim.compiled.constants import pack
 from timo_sim.model.formulation import Formulation
 from timo_sim.model.layout import INPUTS, LOADS, STEP_LOADS
 from timo_sim.model.statics import pick_up
+from timo_sim.scene.bodies import motor_constants
 from timo_sim.scene.parameters import did_you_mean, numbers, ParameterError, short
-from timo_sim.scene.scene import motor_constants, Scene
+from timo_sim.scene.scene import Scene
 from timo_sim.steps import loads as steps_loads
 from timo_sim.steps.steps import NO_LOADS
 

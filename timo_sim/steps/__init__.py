@@ -2,7 +2,7 @@
 # SPDX-License-Identifier: Apache-2.0
 
 """
-Integration in time: the step ETDRK4, for one run and for lanes, and dry friction.
+Integration in time: the step ETDRK4, for one run and for lanes, dry friction, loads.
 
 This package may import `compiled` and `model`, of which it knows the layout of motions, the
 declared functions and `Formulation`.

@@ -26,10 +26,11 @@ from typing import Any
 from timo_sim.compiled import machine, store
 from timo_sim.compiled.entry import EntryPoint
 from timo_sim.compiled.functions import Constants
+from timo_sim.export import instance
 from timo_sim.model import exact_code, functions, modes, newton
 from timo_sim.scene.scene import load_scene
 from timo_sim.simulation.finer import EstimatingSimulator
-from timo_sim.steps import bristles, etdrk4, instance, lanes, loads
+from timo_sim.steps import bristles, etdrk4, lanes, loads
 
 # A carrier and a shaft that move freely, as in the paper; and an arm on a hub, on a carrier that
 # is held, as in the scene of `timo_sim new`. Each has the size of its finer run, too.
