@@ -5,7 +5,6 @@
 
 from collections.abc import Callable
 from functools import partial
-import math
 from typing import Any, NamedTuple
 
 import numpy as np
@@ -86,7 +85,7 @@ class Constants(NamedTuple):
 
 
 # Functions that compiled functions call; `emit` gives them their code. Here they are as Python
-# would compute them.
+# would compute them, also of arrays: so formulas of compiled functions serve NumPy, too.
 
 def local(like: Any) -> Any:
     """
@@ -117,9 +116,9 @@ def sum_of(vector: Any, like: Any) -> Any:
     return np.sum(vector)
 
 
-def floor(value: Any) -> float:
+def floor(value: Any) -> Any:
     """Return the largest whole number up to a value, as a float."""
-    return float(math.floor(value))
+    return np.floor(value)
 
 
 def magnitude(value: Any) -> Any:
@@ -129,17 +128,17 @@ def magnitude(value: Any) -> Any:
 
 def square_root(value: Any) -> Any:
     """Return the square root."""
-    return math.sqrt(value)
+    return np.sqrt(value)
 
 
 def where(condition: Any, yes: Any, no: Any) -> Any:
     """Return `yes` where a condition holds, else `no`; both have been computed."""
-    return yes if condition else no
+    return np.where(condition, yes, no)
 
 
 def some(condition: Any) -> Any:
     """Return whether a condition holds, in any lane."""
-    return condition
+    return np.any(condition)
 
 
 def value_of(number: Any) -> Any:

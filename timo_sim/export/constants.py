@@ -129,7 +129,7 @@ def plant_of(simulator: Simulator) -> Packed:
         scene.step, model.tip_point.lever[0], MOST_BENT * model.manipulator.arm.length,
         model.tip_travel[3:], model.points.rotation[:, -1], model.points.rotation, model.gravity,
         model.linear, model.constrained, body.shaft_inertia, body.base_mass, body.hub_radius,
-        np.array([body.shaft_friction, *body.coulomb[1]]),
+        body.shaft_friction,
         np.array([model.gear.inertia * model.rotor] if model.gear else [])
         .reshape(-1, model.size // 2), *_strains(model),
         model.state(scene.initial_motion(model)), simulator.load,

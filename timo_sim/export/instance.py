@@ -16,8 +16,8 @@ import numpy as np
 from timo_sim.compiled.entry import entry_point
 from timo_sim.compiled.functions import Array, Constants, floor, square_root, strict, WIDTH
 from timo_sim.model.functions import (
-    accelerate, copy, effort, energy, linear_part_is_valid, motor_effort, motor_torque, sincos,
-    tanh)
+    accelerate, copy, coulomb, effort, energy, linear_part_is_valid, motor_effort, motor_torque,
+    sincos)
 from timo_sim.model.layout import (
     AFTER, FORCE_I, FORCE_II, FORCE_X, FORCE_Y, LOADS, MOTOR_FRICTION, START, STEP_LOADS)
 from timo_sim.steps.bristles import BRISTLES, COLUMNS, MEMORY
@@ -88,8 +88,7 @@ class Plant(NamedTuple):
     shaft_inertia: float  # [kg m2]
     base_mass: float      # of carrier and motor [kg]
     hub_radius: float     # [m]
-    # Viscous; Coulomb, the speed of its build-up and its asymmetry.
-    shaft_friction: Annotated[np.ndarray, 4]
+    shaft_friction: float  # viscous [N m s/rad]
     # What accelerations of all coordinates need of torque at the rotor of an elastic gear.
     rotor: Annotated[np.ndarray, 'gears', 'accelerations']
     # Strain of the outer fibre at the root per moment and axial force there, and per modal rate.
@@ -271,10 +270,8 @@ def set_forces(tables, plant, instance):
     if plant.constrained[2] != 0 or len(plant.rotor) != 0:
         root -= needed[2]
     else:
-        root += plant.shaft_friction[0] * speed - motor_torque(tables, instance.acting, speed)
-        if plant.shaft_friction[1] != 0.0:
-            share = tanh(speed / plant.shaft_friction[2])
-            root += plant.shaft_friction[1] * share * (1.0 + plant.shaft_friction[3] * share)
+        root += (plant.shaft_friction * speed + coulomb(tables, 1, speed)
+                 - motor_torque(tables, instance.acting, speed))
     for joint in range(3):
         if plant.constrained[joint] != 0:
             out[16 + joint] = needed[joint] - out[16 + joint]

@@ -13,6 +13,8 @@ import numpy as np
 from numpy.polynomial import legendre
 from numpy.typing import ArrayLike
 
+from timo_sim.model.functions import motor_effort, motor_torque
+from timo_sim.model.layout import MOTOR_FRICTION, TORQUE
 
 SHAPES = 'rectangle', 'round', 'tube', 'box', 'i'
 
@@ -255,18 +257,11 @@ class Manipulator:
 
     def excess(self, torque: Any, speed: Any) -> Any:
         """Return what of a torque of loads [N m] a limit takes at a speed of the motor (T66)."""
-        excess = 0.0
-        for limit, back_emf in self.motor_limit:
-            wanted = torque - back_emf * speed
-            excess = wanted - np.clip(wanted, -limit, limit)
-        return excess
+        return torque - motor_torque(self, {TORQUE: torque, MOTOR_FRICTION: 0.0}, speed)
 
     def effort(self, torque: Any, speed: Any) -> Any:
         """Return the effort [N m] of a torque of loads at a speed of the motor (T66)."""
-        if not self.motor_limit:
-            return torque
-        return np.clip(torque - self.excess(torque, speed), np.minimum(torque, 0.0),
-                       np.maximum(torque, 0.0))
+        return motor_effort(self, {TORQUE: torque, MOTOR_FRICTION: 0.0}, speed)
 
     def inertia(self, quadrature: 'Quadrature') -> tuple[np.ndarray, np.ndarray]:
         """

@@ -101,13 +101,13 @@ class Exact(Formulation):
             tip_rotation=at_points[-1], weight=self.mass * self.gravity, push=push,
             stretch=self._stretch[len(self._stretch) - self.axial:],
             stiffness=np.append(0.0, modes.omega**2), linear_rate=np.empty((0, 2, 0)), sector=-1,
-            bands_per_speed=0.0, turning=np.empty((0, 0)), gear=gear)
+            bands_per_speed=0.0, of_band=np.empty((0, 0)), gear=gear)
         tables, linear = self._with_linear_part(tables, locked if one_axis else None)
         if self.sectors and self.axial:
             self._band = BAND * modes.omega[0]
             inertia = 1.0 if self.driven else tables.rotary[0, 0] + kernel.mean(axis=0).sum()
             tables = tables._replace(bands_per_speed=1.0 / (self._band * inertia),
-                                     turning=np.zeros_like(linear))
+                                     of_band=np.zeros_like(linear))
         return tables, linear
 
     def at(self, xi: ArrayLike) -> Points:
@@ -235,13 +235,13 @@ class Exact(Formulation):
         angle = (sector + 0.5) * np.pi / SECTORS
         tables, linear = self._with_linear_part(self.tables, angle)
         if self.axial:
-            turning = self._about_turning(angle, (band - BANDS + 0.5) * self._band) - linear
-            turning[:, len(self.axes)] *= self.driven  # the angle itself is not bounded
-            linear += turning
-            tables = tables._replace(turning=turning)
+            of_band = self._at_speed(angle, (band - BANDS + 0.5) * self._band) - linear
+            of_band[:, len(self.axes)] *= self.driven  # the angle itself is not bounded
+            linear += of_band
+            tables = tables._replace(of_band=of_band)
         return tables._replace(sector=number), linear
 
-    def _about_turning(self, angle, speed):
+    def _at_speed(self, angle, speed):
         # The rate's derivatives by the state of a straight arm that turns. Without backlash and
         # friction that builds up it is quadratic in speeds and momenta; other differences are good
         # to 1e-8.

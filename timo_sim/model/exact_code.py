@@ -19,7 +19,7 @@ import numpy as np
 
 from timo_sim.compiled.constants import local_arrays
 from timo_sim.compiled.functions import (
-    as_vectors, chain, declare, floor, inner, local, some, sum_of, value_of, where,
+    as_vectors, chain, declare, floor, inner, local, some, sum_of, value_of,
     with_derivatives, without_derivatives)
 from timo_sim.model import functions
 from timo_sim.model.functions import sincos
@@ -37,7 +37,7 @@ class Tables(NamedTuple):
     if there is one (T50). `gears` is 1 if the gear is elastic, else 0; its coordinate precedes
     the axial ones. `kernels` is 2, or 1 if that for x holds for y, too; `axes` counts those along
     which the carrier is free, `pushes` is 1 if a force may act on the arm, else 0, and `limits` if
-    the motor's current has a limit; `turning` is the length of the state for an arm that stretches
+    the motor's current has a limit; `banded` is the length of the state for an arm that stretches
     with one axis of the carrier held, else 0.
     """
 
@@ -69,7 +69,7 @@ class Tables(NamedTuple):
     sector: int
     bands_per_speed: float  # bands per p_0, or per q_0' of a driven shaft
     # What the linear part has for the speed of the band.
-    turning: Annotated[np.ndarray, 'turning', 'turning']
+    of_band: Annotated[np.ndarray, 'banded', 'banded']
     # Of an elastic gear: turn of the rotor per coordinate, 1 / sqrt(J_r), viscous friction of the
     # rotor c_r, half of the play as a coordinate (T60).
     gear: Annotated[np.ndarray, 'gears', 3]
@@ -267,11 +267,12 @@ def _solve_for_speed(tables, state, load, numbers, work, mass, inverse):
             speed[i] -= mass[k, i] * speed[k]
 
 
-# A force on the arm. For every x, x + -0.0 is x: without one the compiler removes these sums.
+# A force on the arm. Without one it is -0.0, the neutral element of addition: x + -0.0 == x for
+# every x, so that LLVM removes the additions.
 
 @inner
 def _push_force(tables, load):
-    """Return x, y of the force on the arm."""
+    """Return x, y of the force on the arm at push.position."""
     x, y = -0.0, -0.0
     if len(tables.push):
         x, y = load[PUSH_X], load[PUSH_Y]
@@ -279,8 +280,8 @@ def _push_force(tables, load):
 
 
 @inner
-def _push_work(tables, load, j):
-    """Return what this force adds to the forces against the slopes at nodes j, in x and y."""
+def _push_on_slopes(tables, load, j):
+    """Return x, y of the generalised force of the push against the slopes at nodes j (T29)."""
     push = as_vectors(tables.push)
     x, y = -0.0, -0.0
     if len(push):
@@ -312,10 +313,11 @@ def _resistance(tables, speed):
 @inner
 def _translate(tables, state, load, work, out):
     """
-    Write the rates of the mass centre; return x, y of the force on the carrier and of the tip's.
+    Write the rates of the mass centre (T27).
 
-    The first is F of (T28), along free axes the sum of the forces on carrier and tip (T32). Where
-    the carrier is held, the weights act on the arm as a force -m_t g on the carrier would (T46).
+    Return x, y of two forces: F of (T28), along free axes the sum of the forces on carrier and tip
+    (T32), and that on the tip. Where the carrier is held, the weights act on the arm as a force
+    -m_t g on the carrier would (T46).
     """
     axes, half, weight = tables.axes, half_length(tables), tables.weight
     push_x, push_y = 0.0 - weight[0], 0.0 - weight[1]
@@ -387,7 +389,7 @@ def _set_moments(tables, load, torque, forces, work, script_a, script_b):
             shearing += speed[i] * shear[i, j]
         along = cosine[j] * g1 + sine[j] * g2
         # The force against the slope: -Q_i of (T28), (T32) is the sum of its products with C_i.
-        arm_x, arm_y = _push_work(tables, load, j)
+        arm_x, arm_y = _push_on_slopes(tables, load, j)
         force_x = to_centre[j] * push_x - to_tip[j] * tip_x + arm_x
         force_y = to_centre[j] * push_y - to_tip[j] * tip_y + arm_y
         script_a[j] = force_x * b[j] - force_y * a[j]
@@ -443,9 +445,9 @@ def _rate(tables, state, load, out):
     for n in range(len(tables.gear)):
         if place < count - len(tables.linear_rate):
             out[momenta + place] += (tables.gear[n, PER_COORDINATE] * (on_rotor + drag)
-                                     + _without_contact(tables, work, place))
-    _add_stretch_forces(tables, load, torque, on_rotor, forces, work, out)
-    _subtract_turning(tables, state, out)
+                                     + _missing_contact(tables, n, work))
+    _add_rates_of_rates(tables, load, torque, on_rotor, forces, work, out)
+    _subtract_part_of_band(tables, state, out)
 
 
 # An elastic gear (T60) to (T62); without one the torque on the rotor is that on the shaft.
@@ -462,39 +464,39 @@ def _gear_place(tables):
 @inner
 def _rotor_torque(tables, load, speed):
     """Return the torque on the rotor less its friction."""
-    turning, friction = speed[0], -0.0
+    rotor, friction = speed[0], -0.0
     for n in range(len(tables.gear)):
-        turning += tables.gear[n, PER_COORDINATE] * speed[_gear_place(tables)]
-        friction = tables.gear[n, DRAG] * turning + functions.coulomb(tables, 2, turning)
-    return functions.motor_torque(tables, load, turning) - friction
+        rotor += tables.gear[n, PER_COORDINATE] * speed[_gear_place(tables)]
+        friction = tables.gear[n, DRAG] * rotor + functions.coulomb(tables, 2, rotor)
+    return functions.motor_torque(tables, load, rotor) - friction
 
 
 @inner
-def _linear_drag(tables, speed, rest, coordinates):
-    """Return the viscous friction of the rotor in the linear part, by speeds and their rest."""
+def _linear_drag(tables, speed, nonlinear_rate, coordinates):
+    """
+    Return the viscous friction of the rotor that the linear part has.
+
+    The speed less the rate that is not in the linear part is what that one integrates.
+    """
     drag = -0.0
     for n in range(len(tables.gear)):
         place = _gear_place(tables)
         drag = tables.gear[n, DRAG] * (
-            speed[0] - rest[coordinates] + tables.gear[n, PER_COORDINATE] * (
-                speed[place] - rest[coordinates + place]))
+            speed[0] - nonlinear_rate[coordinates] + tables.gear[n, PER_COORDINATE] * (
+                speed[place] - nonlinear_rate[coordinates + place]))
     return drag
 
 
 @inner
-def _without_contact(tables, work, place):
-    """Return the force of spring and damper of the gear that backlash takes away (T62)."""
-    taken = 0.0
-    for n in range(len(tables.gear)):
-        play = tables.gear[n, PLAY]
-        if some(play != 0.0):
-            twist, stiffness = work.coordinate[place], tables.stiffness[place]
-            force = stiffness * twist + tables.damping[place] * work.speed[place]
-            right, left = force - stiffness * play, force + stiffness * play
-            contact = where(twist > play, where(right > 0.0, right, 0.0),
-                            where((twist < -play) & (left < 0.0), left, 0.0))
-            taken = where(play > 0.0, force - contact, 0.0)
-    return taken
+def _missing_contact(tables, n, work):
+    """Return the force of spring and damper of the n-th gear that backlash takes away (T62)."""
+    place, play, missing = _gear_place(tables), tables.gear[n, PLAY], 0.0
+    if some(play != 0.0):
+        stiffness, damping = tables.stiffness[place], tables.damping[place]
+        twist, rate = work.coordinate[place], work.speed[place]
+        missing = stiffness * twist + damping * rate - functions.gear_torque(
+            stiffness, damping, play, twist, rate)
+    return missing
 
 
 @functions.observe.of(Tables)
@@ -719,7 +721,7 @@ def _energy(tables, motion, gravity):
     for n in range(len(tables.gear)):  # the spring of a gear is relaxed within its play
         place, play = _gear_place(tables), tables.gear[n, PLAY]
         twist = motion[2 + place]
-        loose = min(max(twist, -play), play)
+        loose = functions.within(play, twist)
         twice -= tables.stiffness[place] * loose * (2.0 * twist - loose)
     return 0.5 * twice - mass * (gravity[0] * (motion[0] + _dot(to_centre, a))
                                  + gravity[1] * (motion[1] + _dot(to_centre, b)))
@@ -749,8 +751,8 @@ def _add_stretch_to_slopes(tables, work):
             c2[i, j] += strain * cosine[j] * rotation[i, j]
 
 
-# Coordinates with rates in place of momenta (T35): the axial ones or, with one axis of the carrier
-# held and no axial ones, all free ones.
+# Coordinates whose state is a rate, not a momentum (T35): the axial ones or, with one axis of the
+# carrier held and no axial ones, all free ones.
 
 @inner
 def _take_rates_of_state(tables, state, mass, inverse, work):
@@ -770,57 +772,57 @@ def _take_rates_of_state(tables, state, mass, inverse, work):
 
 
 @inner
-def _add_stretch_forces(tables, load, torque, on_rotor, forces, work, out):
+def _set_second_slopes(tables, work, added, a_2, b_2):
+    """Set the addition to A_j of (T29), and a_2, b_2 of (T35): slopes'' where q'' = 0."""
+    rotation, shear = as_vectors(tables.rotation), as_vectors(tables.shear)
+    stretch, axial = as_vectors(tables.stretch), len(tables.rotation) - len(tables.stretch)
+    cosine, sine, speed = work.cosine, work.sine, work.speed
+    for j in range(len(added)):
+        g_across, slope_1, slope_2, turning, shearing, stretching = 0.0, 0.0, 0.0, 0.0, 0.0, 0.0
+        for i in range(len(speed)):
+            g_across += speed[i] * (cosine[j] * work.image_2[i, j] - sine[j] * work.image_1[i, j])
+            slope_1 += speed[i] * work.c1[i, j]
+            slope_2 += speed[i] * work.c2[i, j]
+            turning += speed[i] * rotation[i, j]
+            shearing += speed[i] * shear[i, j]
+        for i in range(axial, len(speed)):
+            stretching += speed[i] * stretch[i - axial, j]
+        added[j] = stretching * g_across
+        a_2[j] = -turning * (slope_2 + cosine[j] * shearing + sine[j] * stretching)
+        b_2[j] = turning * (slope_1 - sine[j] * shearing + cosine[j] * stretching)
+
+
+@inner
+def _add_rates_of_rates(tables, load, torque, on_rotor, forces, work, out):
     """Add the terms of the axial strain to dT/dq (T29); write the accelerations (T35)."""
     if len(tables.linear_rate) == 0:
         return
-    rotation, shear = as_vectors(tables.rotation), as_vectors(tables.shear)
-    stretch, to_tip = as_vectors(tables.stretch), as_vectors(tables.to_tip)
-    across, to_centre = tables.to_centre, as_vectors(tables.to_centre)
-    cosine, sine, coordinate, speed = work.cosine, work.sine, work.coordinate, work.speed
-    c1, c2, image_1, image_2 = work.c1, work.c2, work.image_1, work.image_2
-    factors = work.factors
+    to_tip, to_centre, across = (
+        as_vectors(tables.to_tip), as_vectors(tables.to_centre), tables.to_centre)
+    rotation, factors, coordinate, speed = (
+        as_vectors(tables.rotation), work.factors, work.coordinate, work.speed)
     count, nodes = rotation.shape
-    driven, axial, momenta = (
-        count - len(tables.straight), count - len(stretch), 2 * half_length(tables) - count)
+    driven, momenta = count - len(tables.straight), 2 * half_length(tables) - count
     rates_from = count - len(tables.linear_rate)
     push_x, push_y, tip_x, tip_y = forces
-    # The addition to A_j of (T29), and a_2, b_2 of (T35): accelerations of the slopes at q'' = 0.
-    added_a = as_vectors(local((across,)))
-    a_2, b_2 = as_vectors(local((across,))), as_vectors(local((across,)))
-    for j in range(nodes):
-        g_across = 0.0
-        turning = 0.0
-        shearing = 0.0
-        slope_1 = 0.0
-        slope_2 = 0.0
-        for i in range(count):
-            g_across += speed[i] * (cosine[j] * image_2[i, j] - sine[j] * image_1[i, j])
-            slope_1 += speed[i] * c1[i, j]
-            slope_2 += speed[i] * c2[i, j]
-            turning += speed[i] * rotation[i, j]
-            shearing += speed[i] * shear[i, j]
-        stretching = 0.0
-        for i in range(axial, count):
-            stretching += speed[i] * stretch[i - axial, j]
-        added_a[j] = stretching * g_across
-        a_2[j] = -turning * (slope_2 + cosine[j] * shearing + sine[j] * stretching)
-        b_2[j] = turning * (slope_1 - sine[j] * shearing + cosine[j] * stretching)
+    added, a_2, b_2 = (as_vectors(local((across,))), as_vectors(local((across,))),
+                       as_vectors(local((across,))))
+    _set_second_slopes(tables, work, added, a_2, b_2)
     # The right-hand side of (T35), all loads and a given q_0'' included.
     force = local((tables.rotation,))
     for i in range(driven, count):
         done = 0.0
-        added = 0.0
+        of_stretch = 0.0
         for j in range(nodes):
-            added += rotation[i, j] * added_a[j]
-            arm_x, arm_y = _push_work(tables, load, j)
+            of_stretch += rotation[i, j] * added[j]
+            arm_x, arm_y = _push_on_slopes(tables, load, j)
             force_x = to_tip[j] * tip_x - to_centre[j] * push_x - arm_x
             force_y = to_tip[j] * tip_y - to_centre[j] * push_y - arm_y
-            done += (force_x * c1[i, j] + force_y * c2[i, j] - image_1[i, j] * a_2[j]
-                     - image_2[i, j] * b_2[j])
+            done += (force_x * work.c1[i, j] + force_y * work.c2[i, j]
+                     - work.image_1[i, j] * a_2[j] - work.image_2[i, j] * b_2[j])
         # Unless one axis is held, T does not depend on the shaft angle.
         if i < rates_from and (i or len(tables.axes) == 1):
-            out[momenta + i] += sum_of(added, across)
+            out[momenta + i] += sum_of(of_stretch, across)
         total = (sum_of(done, across) + tables.tip_rotation[i] * load[TIP_TORQUE]
                  - tables.stiffness[i] * coordinate[i] - tables.damping[i] * speed[i])
         if i == 0:
@@ -829,23 +831,29 @@ def _add_stretch_forces(tables, load, torque, on_rotor, forces, work, out):
             total -= factors[i, j] * load[ACCELERATION]
         force[i] = total
     for n in range(len(tables.gear)):
-        place = _gear_place(tables)
-        force[place] += (tables.gear[n, PER_COORDINATE] * on_rotor
-                         + _without_contact(tables, work, place))
-    # Solve M q'' = force for the last q'', with M = L D L^T of `_set_speed`.
-    for k in range(driven, count):
-        for i in range(k + 1, count):
-            force[i] -= factors[i, k] * force[k]
-    for k in range(count - 1, rates_from - 1, -1):
-        force[k] *= factors[k, k]
-        for i in range(k + 1, count):
-            force[k] -= factors[i, k] * force[i]
+        force[_gear_place(tables)] += (tables.gear[n, PER_COORDINATE] * on_rotor
+                                       + _missing_contact(tables, n, work))
+    _solve_for_last(tables, factors, force)
     for i in range(rates_from, count):
         total = force[i]
         for j in range(rates_from, count):
             total -= (tables.linear_rate[i - rates_from, 0, j - rates_from] * coordinate[j]
                       + tables.linear_rate[i - rates_from, 1, j - rates_from] * speed[j])
         out[momenta + i] = total
+
+
+@inner
+def _solve_for_last(tables, factors, force):
+    """Solve M q'' = force for the last q'', in place, with M = L D L^T of `_set_speed`."""
+    count = len(force)
+    driven = count - len(tables.straight)
+    for k in range(driven, count):
+        for i in range(k + 1, count):
+            force[i] -= factors[i, k] * force[k]
+    for k in range(count - 1, count - len(tables.linear_rate) - 1, -1):
+        force[k] *= factors[k, k]
+        for i in range(k + 1, count):
+            force[k] -= factors[i, k] * force[i]
 
 
 # Linear parts by the angle and speed of the shaft, where one axis of the carrier is held (section
@@ -867,7 +875,7 @@ def _sector(angle):
 @inner
 def _band(tables, state, load):
     """Return the number of the band in which the speed lies."""
-    if len(tables.turning) == 0:
+    if len(tables.of_band) == 0:
         return 0
     driven = len(tables.rotation) > len(tables.straight)
     speed = load[SPEED] if driven else state[half_length(tables) + len(tables.axes)]
@@ -884,10 +892,10 @@ def _linear_part_is_valid(tables, state, load):
 
 
 @inner
-def _subtract_turning(tables, state, out):
+def _subtract_part_of_band(tables, state, out):
     """Subtract what the linear part has for the speed of a band."""
-    for i in range(len(tables.turning)):
+    for i in range(len(tables.of_band)):
         total = 0.0
-        for j in range(len(tables.turning)):
-            total += tables.turning[i, j] * state[j]
+        for j in range(len(tables.of_band)):
+            total += tables.of_band[i, j] * state[j]
         out[i] -= total

@@ -15,7 +15,7 @@ from numpy.typing import ArrayLike
 from timo_sim.compiled.constants import pack, Packed
 from timo_sim.model.bodies import Constraints, Manipulator, Quadrature
 from timo_sim.model.functions import (
-    accelerations_of, efforts, energies, Flow, rate_once, tips)
+    accelerations_of, coulomb, efforts, energies, Flow, gear_torque, rate_once, tips, within)
 from timo_sim.model.layout import LINKS, LOADS, rotate
 from timo_sim.model.modes import axial_modes, GearMode, JoinedModes, Modes, modes_of
 
@@ -428,12 +428,11 @@ class Formulation(ABC):
         It is the viscous one and the Coulomb friction that builds up over a speed; coordinates
         that are held, locked or driven have none. That of a rotor is not part of it.
         """
-        speeds, body = motions[:, self.size // 2:][:, :3], self.manipulator
-        viscous = np.array([body.carrier_friction, body.carrier_friction, body.shaft_friction])
-        limit, slow, asymmetry = np.array(body.coulomb)[[0, 0, 1]].T
-        share = np.tanh(speeds / slow)
-        return np.where(self.constrained, 0.0,
-                        viscous * speeds + limit * share * (1.0 + asymmetry * share))
+        speeds, body = motions[:, self.size // 2:][:, :3].T, self.manipulator
+        viscous = body.carrier_friction, body.carrier_friction, body.shaft_friction
+        return np.where(self.constrained, 0.0, np.column_stack([
+            by_speed * speed + coulomb(body, joint, speed)
+            for by_speed, joint, speed in zip(viscous, (0, 0, 1), speeds)]))
 
     def gear_torque(self, motions: np.ndarray) -> np.ndarray:
         """Return the torque of an elastic gear on the shaft in motions (T62), (n,) [N m]."""
@@ -442,23 +441,16 @@ class Formulation(ABC):
             raise ValueError('the gear is rigid: motor.gear.stiffness is 0')
         twist, rate = (self.rotor[place] * motions[:, begin + place]
                        for begin in (0, self.size // 2))
-        torque, play, side = (gear.stiffness * twist + gear.damping * rate, 0.5 * gear.backlash,
-                              np.sign(twist))
-        if play:
-            torque = side * np.where(np.abs(twist) > play, np.maximum(
-                side * torque - gear.stiffness * play, 0.0), 0.0)
-        return torque
+        return gear_torque(gear.stiffness, gear.damping, 0.5 * gear.backlash, twist, rate)
 
     def _gear_power(self, motions):
         # Power that the friction of the rotor takes, and a gear more than its modal damping.
         gear, place, rates = self.gear, self.gear_place, motions[:, self.size // 2:]
         twist, rate = (self.rotor[place] * each[:, place] for each in (motions, rates))
-        play, speed = 0.5 * gear.backlash, rates @ self.rotor
-        limit, slow, asymmetry = self.manipulator.coulomb[2]
-        share = np.tanh(speed / slow)
-        elastic = gear.stiffness * (twist - np.clip(twist, -play, play))
+        speed = rates @ self.rotor
+        elastic = gear.stiffness * (twist - within(0.5 * gear.backlash, twist))
         return ((self.gear_torque(motions) - elastic - gear.damping * rate) * rate
-                + (gear.friction * speed + limit * share * (1.0 + asymmetry * share)) * speed)
+                + (gear.friction * speed + coulomb(self.manipulator, 2, speed)) * speed)
 
     def dissipation(self, motions: np.ndarray) -> np.ndarray:
         """Return the power that this friction and modal damping take, shape (n,) [W]."""

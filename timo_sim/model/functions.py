@@ -46,14 +46,34 @@ def copy(vector, out):
         out[i] = vector[i]
 
 
+# Laws of joints. Python calls them, too, with a `Manipulator` for tables, and arrays.
+
+@inner
+def within(limit, value):
+    """Return a value, or what is next to it from -limit to limit."""
+    return where(value > limit, limit, where(value < -limit, -limit, value))
+
+
 @inner
 def coulomb(tables, joint, speed):
-    """Return the Coulomb friction against a speed of carrier, joint 0, shaft, 1, or rotor, 2."""
+    """Return the friction against a speed of carrier, joint 0, shaft, 1, or rotor, 2 (T63)."""
     friction = 0.0
-    if some(tables.coulomb[joint, 0] != 0.0):
-        share = tanh(speed / tables.coulomb[joint, 1])
-        friction = tables.coulomb[joint, 0] * share * (1.0 + tables.coulomb[joint, 2] * share)
+    if some(tables.coulomb[joint][0] != 0.0):
+        share = tanh(speed / tables.coulomb[joint][1])
+        friction = tables.coulomb[joint][0] * share * (1.0 + tables.coulomb[joint][2] * share)
     return friction
+
+
+@inner
+def gear_torque(stiffness, damping, play, twist, rate):
+    """Return the torque of spring and damper of a gear, whose contacts do not pull (T62)."""
+    torque = stiffness * twist + damping * rate
+    if some(play != 0.0):
+        left = torque - stiffness * within(play, twist)
+        contact = where(twist > play, where(left > 0.0, left, 0.0),
+                        where((twist < -play) & (left < 0.0), left, 0.0))
+        torque = where(play > 0.0, contact, torque)
+    return torque
 
 
 @inner
@@ -61,10 +81,8 @@ def motor_torque(tables, load, speed):
     """Return the torque of loads where the motor acts, at its speed, and dry friction (T66)."""
     torque = load[TORQUE]
     for n in range(len(tables.motor_limit)):
-        limit = tables.motor_limit[n, 0]
-        wanted = load[TORQUE] - load[MOTOR_FRICTION] - tables.motor_limit[n, 1] * speed
-        torque -= where(wanted > limit, wanted - limit,
-                        where(wanted < -limit, wanted + limit, 0.0))
+        wanted = load[TORQUE] - load[MOTOR_FRICTION] - tables.motor_limit[n][1] * speed
+        torque = torque - (wanted - within(tables.motor_limit[n][0], wanted))
     return torque
 
 

@@ -18,7 +18,7 @@ import numpy as np
 
 from timo_sim.compiled.functions import inner, magnitude, square_root, where
 from timo_sim.model.formulation import Formulation
-from timo_sim.model.functions import copy, joint_place
+from timo_sim.model.functions import copy, joint_place, within
 from timo_sim.model.layout import (
     FORCE_X, FORCE_Y, LOADS, MOTOR_FRICTION, SHAFT_FRICTION, TORQUE)
 
@@ -142,11 +142,6 @@ def memory_at(values: np.ndarray, swing: np.ndarray, speeds: np.ndarray) -> np.n
 
 
 @inner
-def _within(reach, deflection):
-    return where(deflection > reach, reach, where(deflection < -reach, -reach, deflection))
-
-
-@inner
 def _share(bristles, n, speed):
     """Return friction at a speed over that in fast motion."""
     found = 1.0
@@ -193,7 +188,7 @@ def rub(tables, bristles, bent, stage, state, load):
             if stage == SECOND:
                 way -= bristles.lead * (way - bent.middle[n])
             # As if the joint did not turn on its way: no error was measured to grow by that.
-            deflection = _within(reach, deflection + way)
+            deflection = within(reach, deflection + way)
             # That of the parabola through both places.
             speed = way / (bristles.step if stage == LAST else 0.5 * bristles.step) * 2.0 - speed
         force = _force(bristles, n, deflection, _share(bristles, n, speed))
@@ -219,8 +214,8 @@ def start_bristles(tables, bristles, state, load, motion, moved, bent, memory):
         if moved:
             start, way = memory[DEFLECTION + joint], place - bent.place[n]
             turn = _turn(bristles.step * bent.speed[n], bristles.step * speed, way)
-            middle = _within(reach, start + turn)
-            end = _within(reach, middle + (way - turn))
+            middle = within(reach, start + turn)
+            end = within(reach, middle + (way - turn))
             share = _share(bristles, n, speed)
             mean = 0.5 * (_share(bristles, n, bent.speed[n]) + share)
             here = _force(bristles, n, end, mean)
