@@ -11,12 +11,14 @@ import subprocess
 import sys
 
 from click.testing import CliRunner
+from mcap.opcode import Opcode
 from mcap.reader import make_reader
 from mcap.records import Channel as ChannelRecord, DataEnd, Message, Metadata, Schema
 from mcap.stream_reader import StreamReader
 from mcap.writer import CompressionType, IndexType, Writer as McapWriter
 from mcap_ros2.reader import read_ros2_messages
 import numpy as np
+from oracles.logs import places
 import pyarrow.parquet
 import pytest
 from ros_process import Client, Process, replayed
@@ -337,6 +339,20 @@ def test_an_unknown_order_at_a_reset_is_refused(with_reset, tmp_path):
             list, 'whether .* at the step of a reset was before or after it is not known')):
         path = rewritten(with_reset, tmp_path / 'run.mcap', messages_first(order))
         assert re.search(words, call('replay', path, code=2))
+
+
+@pytest.mark.parametrize('lie', [b'\0', b'\1', b'\xff'])
+def test_an_index_that_does_not_fit_its_chunk_is_not_believed(log, tmp_path, lie):
+    data, path = bytearray(log.read_bytes()), tmp_path / 'run.mcap'
+    for place, opcode, length in places(bytes(data)):
+        if opcode == Opcode.MESSAGE_INDEX:
+            data[place + 15:place + length] = (length - 15) * lie
+        elif opcode == Opcode.DATA_END:  # without a checksum
+            data[place + 9:place + length] = bytes(4)
+    path.write_bytes(data)
+    ours, same = Recording(log).topics, Recording(path).topics
+    assert all(np.array_equal(ours[name].values, each.values) and each.data == ours[name].data
+               for name, each in same.items()) and same.keys() == ours.keys()
 
 
 def test_notes_of_two_runs_are_refused(source, tmp_path):

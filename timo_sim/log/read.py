@@ -8,7 +8,9 @@ Records are parsed by mcap. Checksums are verified, and lengths are compared wit
 fixed limits before anything is read.
 """
 
-from collections.abc import Iterator
+from __future__ import annotations
+
+from collections.abc import Collection, Iterator
 import fcntl
 from io import BytesIO
 import json
@@ -28,6 +30,7 @@ from mcap.reader import SeekingReader
 from mcap.records import Channel, Chunk as ChunkRecord, Header, Metadata, Schema
 from mcap.summary import Summary
 from mcap.writer import MCAP0_MAGIC
+import numpy as np
 import zstandard
 
 from timo_sim.log.write import (
@@ -41,10 +44,15 @@ _LARGEST_SUMMARY = 512 * 1024 * 1024   # [B], about that of a log of a month
 # Most records of a chunk, and for each of its bytes as stored: messages have stamps of their own.
 _MOST_RECORDS, _RECORDS_PER_BYTE = 10_000, 10
 _FOOTER = struct.Struct('<BQQQI8s')    # opcode, length, places of summary and offsets, CRC, magic
+_AT_ONCE = 4096  # most messages outside of chunks that are read together
+# A message, but for its data.
+_MESSAGE = np.dtype([('opcode', 'u1'), ('length', '<u8'), ('channel', '<u2'), ('sequence', '<u4'),
+                     ('log_time', '<u8'), ('publish_time', '<u8')])
 # What mcap and the decompressors raise for bytes that they cannot read.
 _UNREADABLE = (McapError, ValueError, OverflowError, RuntimeError, EOFError, LookupError,
                struct.error, zstandard.ZstdError)
-_CHUNK_OPCODE, _FIRST_PRIVATE_OPCODE = int(Opcode.CHUNK), 0x80
+_CHUNK_OPCODE, _INDEX_OPCODE = int(Opcode.CHUNK), int(Opcode.MESSAGE_INDEX)
+_OF_BLOCK, _FIRST_PRIVATE_OPCODE = (MESSAGE_OPCODE, _INDEX_OPCODE), 0x80
 
 
 class LogError(ValueError):
@@ -169,6 +177,36 @@ class LogNotes(NamedTuple):
     changes: list  # (step, resets before it in the file, values by name of the scene's parameters)
 
 
+class Messages(NamedTuple):
+    """Some messages that were written together."""
+
+    resets: int        # before them
+    data: bytes        # they are parts of it
+    heads: np.ndarray  # (n,), their `channel`, `sequence`, `log_time` and `publish_time` [ns]
+    ends: np.ndarray   # (n,), where they end in `data`
+
+    def of(self, channel: int) -> Messages | None:
+        """Return those of a channel, None if there are none."""
+        own = np.flatnonzero(self.heads['channel'] == channel)
+        return self._replace(heads=self.heads[own], ends=self.ends[own]) if len(own) else None
+
+    @property
+    def sizes(self) -> np.ndarray:
+        """Number of bytes of each serialised message, (n,) int."""
+        return self.heads['length'].astype(np.int64) - MESSAGE.size
+
+    def serialized(self) -> list[bytes]:
+        """Return each serialised message."""
+        begins = self.ends - self.sizes
+        return [self.data[part] for part in map(slice, begins.tolist(), self.ends.tolist())]
+
+    def rows(self) -> np.ndarray:
+        """Return the serialised messages, if they are of one size, (n, size) uint8."""
+        size = int(self.sizes[0])
+        places = len(self.data) - size + 1
+        return np.ndarray((places, size), np.uint8, self.data, strides=(1, 1))[self.ends - size]
+
+
 class LogFile:
     """
     The summary of a log; its metadata and records, read when they are asked for.
@@ -218,11 +256,17 @@ class LogFile:
                                f'{str(note)[:80]!r}') from None
         return found
 
-    def records(self) -> Iterator[Schema | Channel | Metadata | bytes]:
-        """Yield what the file has, see `_Reader.records`; raise LogError if it is damaged."""
+    def messages(self, channels: Collection[int]) -> Iterator[tuple[int, Messages]]:
+        """Yield channels of these with Messages; raise LogError if the file is damaged."""
         with _open(self.path) as stream:
             reader = _Reader(stream)
-            yield from reader.records()
+            try:
+                for block in reader.blocks():
+                    for channel in channels:
+                        if own := block.of(channel):
+                            yield channel, own
+            except _UNREADABLE as error:
+                raise self._damaged(_reason(error)) from None
             if reader.damage:
                 raise self._damaged(reader.damage)
 
@@ -239,7 +283,7 @@ def _step_of(note):
 
 class _Reader:
     """
-    Reads a log, behind its magic, record by record until it breaks; damaged records are left out.
+    Reads a log, behind its magic, record by record until it breaks.
 
     `damage` is the first damage and its place, None for a complete file; `faults` counts all,
     `lost` are the bytes that could not be read; `left_out` counts attachments and private records,
@@ -252,8 +296,35 @@ class _Reader:
         self.damage: str | None = None
         self.lost = self.faults = self.left_out = 0
 
-    def records(self) -> Iterator[Schema | Channel | Metadata | bytes]:
+    def intact(self) -> Iterator[Schema | Channel | Metadata | bytes]:
         """Yield each Schema and Channel once, Metadata but rosbag2's, and contents of messages."""
+        for opcode, content in self._records():
+            try:
+                yield from self._copied(opcode, content)
+            except _UNREADABLE as error:
+                self._report(_reason(error), HEAD.size + len(content))
+
+    def blocks(self) -> Iterator[Messages]:
+        """Yield the messages of each chunk, or some outside of chunks; raises _UNREADABLE."""
+        parts: list[bytes] = []
+        index: list[bytes] = []
+        resets = 0
+        for opcode, content in self._records():
+            if opcode not in _OF_BLOCK or len(parts) > 2 * _AT_ONCE:
+                if parts:
+                    yield _located(resets, b''.join(parts), index)
+                parts, index = [], []
+            if opcode == _CHUNK_OPCODE:
+                parts.append(_decompress(_parse(ChunkRecord, content)))
+            elif opcode == MESSAGE_OPCODE:
+                parts += HEAD.pack(opcode, len(content)), content
+            elif opcode == _INDEX_OPCODE:
+                index.append(content)
+            elif opcode == Opcode.METADATA:
+                resets += _parse(Metadata, content).name == RESET
+
+    def _records(self):
+        """Yield opcode and content of each record."""
         size, crc = os.fstat(self._stream.fileno()).st_size, zlib.crc32(MCAP0_MAGIC)
         opcode, data_ended = None, False
         while opcode != Opcode.FOOTER:
@@ -264,10 +335,7 @@ class _Reader:
                              'it ends in the middle of a record, or its length is wrong', left)
                 return
             content = self._stream.read(length)
-            try:
-                yield from self._copied(opcode, content)
-            except _UNREADABLE as error:
-                self._report(_reason(error), HEAD.size + length)
+            yield opcode, content
             if opcode == Opcode.DATA_END:
                 data_ended = True
                 if content not in (bytes(4), crc.to_bytes(4, 'little')):
@@ -298,17 +366,9 @@ class _Reader:
             else:
                 self._report(f'a message is of an unknown channel, {channel}')
         elif opcode == _CHUNK_OPCODE:
-            data, place = _decompress(_parse(ChunkRecord, content)), 0
-            left = _MOST_RECORDS + _RECORDS_PER_BYTE * len(content)
-            while place < len(data):
-                left -= 1
-                if not left:
-                    raise ValueError('a chunk has more records than its size allows')
-                inner, length = HEAD.unpack_from(data, place)
-                begin, place = place + HEAD.size, place + HEAD.size + length
-                if place > len(data) or inner == _CHUNK_OPCODE:
-                    raise ValueError('the records in a chunk are malformed')
-                yield from self._copied(inner, data[begin:place])
+            data = _decompress(_parse(ChunkRecord, content))
+            for inner, begin, end in _walk(data, _MOST_RECORDS + _RECORDS_PER_BYTE * len(content)):
+                yield from self._copied(inner, data[begin:end])
         elif opcode == Opcode.METADATA:
             record = _parse(Metadata, content)
             if record.name != 'rosbag2' or self.profile != 'ros2':  # else it is made anew
@@ -333,6 +393,42 @@ def _parse(kind, content):
     return kind.read(ReadDataStream(BytesIO(content)))
 
 
+def _walk(data, most=math.inf):
+    """Yield opcode, begin and end of the content of each of at most so many records."""
+    place = 0
+    while place < len(data):
+        most -= 1
+        if not most:
+            raise ValueError('a chunk has more records than its size allows')
+        opcode, length = HEAD.unpack_from(data, place)
+        begin, place = place + HEAD.size, place + HEAD.size + length
+        if place > len(data) or opcode == _CHUNK_OPCODE:
+            raise ValueError('the records in a chunk are malformed')
+        yield opcode, begin, place
+
+
+def _located(resets, data, index):
+    """Return the Messages in records, found by contents of MessageIndex records if they fit."""
+    # These have channel and size, then a time and a place for each message.
+    entries = b''.join(content[6:6 + (len(content) - 6) // 16 * 16] for content in index)
+    places = np.sort(np.frombuffer(entries, '<u8')[1::2]).astype(np.int64)
+    if len(places) and 0 <= places[0] and places[-1] <= len(data) - _MESSAGE.itemsize:
+        found = _messages_at(places, resets, data)
+        if np.array_equal(np.insert(found.ends, 0, 0), np.append(places, len(data))):
+            return found
+    # There is no index, or there are other records, too.
+    places = [begin - HEAD.size for opcode, begin, _ in _walk(data) if opcode == MESSAGE_OPCODE]
+    return _messages_at(np.array(places, dtype=np.int64), resets, data)
+
+
+def _messages_at(places, resets, data):
+    count = max(0, len(data) - _MESSAGE.itemsize + 1)  # of places where a head might be
+    heads = np.ndarray(count, _MESSAGE, data, strides=1)[places]
+    if (heads['length'] < MESSAGE.size).any():
+        raise ValueError('a message is too short')
+    return Messages(resets, data, heads, places + HEAD.size + heads['length'].astype(np.int64))
+
+
 def recover(file: Path | str, output: Path | str | None = None) -> str:
     """
     Write what is intact in a damaged or incomplete log to a new one, with index and summary.
@@ -348,7 +444,7 @@ def recover(file: Path | str, output: Path | str | None = None) -> str:
         # The file is read twice, because most files are complete, and some are no logs.
         reader, empty, in_sim_time = _Reader(stream), True, False
         count, earliest, latest = 0, math.inf, 0
-        for record in reader.records():
+        for record in reader.intact():
             empty = False
             if isinstance(record, bytes):
                 time = MESSAGE.unpack_from(record)[2]
@@ -363,7 +459,7 @@ def recover(file: Path | str, output: Path | str | None = None) -> str:
         if empty:
             raise LogError(f'{printable(path)}: nothing in it is intact: {reader.damage}')
         stream.seek(len(MCAP0_MAGIC))
-        new = _write(_Reader(stream).records(), reader.profile, Path(file), output)
+        new = _write(_Reader(stream).intact(), reader.profile, Path(file), output)
         state = 'it is still being written' if _is_being_written(stream) else reader.damage
     more = f' and {reader.faults - 1} more' if reader.faults > 1 else ''
     lost = f'{reader.lost} bytes lost'

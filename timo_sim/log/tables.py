@@ -3,11 +3,14 @@
 
 """Read a log as arrays: what was published and commanded; export it as a table or a folder."""
 
+from __future__ import annotations
+
 from collections import Counter
 from collections.abc import Iterable
 import csv
-from dataclasses import dataclass
+from dataclasses import dataclass, replace
 from functools import cached_property
+from itertools import chain
 import json
 import math
 from operator import index, itemgetter
@@ -17,13 +20,12 @@ import shutil
 from struct import unpack_from
 from typing import Any
 
-from mcap.records import Metadata
 import numpy as np
 
 from timo_sim.extras import optional
 from timo_sim.log.read import files_of, LogError, LogFile
 from timo_sim.log.write import (
-    information, MESSAGE, original_names, printable, RESET, TEXT, yaml_text)
+    information, original_names, printable, TEXT, yaml_text)
 from timo_sim.scene.files import whole_file
 from timo_sim.scene.parameters import frame_names, ParameterError, PARAMETERS
 from timo_sim.scene.scene import load_scene
@@ -31,9 +33,6 @@ from timo_sim.topics.cdr import CdrError, form, layout
 from timo_sim.topics.commands import COMMANDS, LARGEST_COMMAND, RefusedError
 from timo_sim.topics.outputs import NANOSECONDS, outputs, title, with_angles
 
-# `MESSAGE` as a type of NumPy.
-_HEAD = np.dtype([('channel', '<u2'), ('sequence', '<u4'), ('log_time', '<u8'),
-                  ('publish_time', '<u8')])
 _AT_ONCE = 4096  # messages that are converted to arrays together
 _COMMANDS = {command.name: command for command in COMMANDS}
 _WRAP = 2**32  # sequence numbers are steps modulo this, or all 0 if a tool has not kept them
@@ -72,6 +71,14 @@ class Series:
     refused: int
     resets: np.ndarray
     data: list[bytes]
+
+    def sorted_by(self, key: np.ndarray) -> Series:
+        """Return it in the order of a key, (n,); equal ones stay in their order."""
+        order = np.argsort(key, kind='stable')
+        resets, step, ns, log_ns, values = (array[order] for array in (
+            self.resets, self.step, self.ns, self.log_ns, self.values))
+        return replace(self, resets=resets, step=step, ns=ns, log_ns=log_ns, values=values,
+                       data=[self.data[k] for k in order] if self.data else [])
 
 
 class Recording:
@@ -146,8 +153,8 @@ class Recording:
         """Take start, resets and changes from ~/scene, if a bag has it."""
         wanted = {number: TEXT for number, channel, schema in self._channels()
                   if channel.topic == f'{self.name}/scene' and schema and schema.name == TEXT}
-        received = sorted((MESSAGE.unpack_from(message)[3], message[MESSAGE.size:])
-                          for _, _, message in self._messages(wanted))
+        received = sorted(each for _, messages in self._messages(wanted) for each in zip(
+            messages.heads['publish_time'].tolist(), messages.serialized()))
         if not received:
             return
         try:
@@ -232,8 +239,8 @@ class Recording:
         collectors = {
             about: _Collector(self.title, *about, self.frames, self.reset_times is not None)
             for about in found.values()}
-        for about, resets, message in self._messages(found):
-            collectors[about].add(resets, message)
+        for about, messages in self._messages(found):
+            collectors[about].add(messages)
         self._read |= {name: self._series(each) for (name, *_), each in collectors.items()}
         return {name: self._read[name] for name, *_ in self._wanted.values() if name in names}
 
@@ -322,18 +329,11 @@ class Recording:
                 yield (part, number), channel, file.summary.schemas.get(channel.schema_id)
 
     def _messages(self, wanted):
-        """Yield the value in `wanted` of a message's channel, resets so far, and its content."""
+        """Yield values of `wanted`, which are by channel, with Messages of that channel."""
         for part, file in enumerate(self.parts):
-            # A message begins with the number of its channel.
-            here = {number.to_bytes(2, 'little'): about
-                    for (place, number), about in wanted.items() if place == part}
-            resets = 0
-            for record in file.records() if here else ():
-                if isinstance(record, bytes):
-                    if about := here.get(record[:2]):
-                        yield about, resets, record
-                elif isinstance(record, Metadata):
-                    resets += record.name == RESET
+            here = {number: about for (place, number), about in wanted.items() if place == part}
+            for channel, messages in file.messages(here) if here else ():
+                yield here[channel], messages
 
     def _find_node(self):
         ends = [name.removeprefix('~') for name in (*_TYPES, *_RENAMED) if name.startswith('~')]
@@ -348,47 +348,51 @@ class Recording:
         return nodes.pop()
 
     def _series(self, collector):
-        found, sequence, log_ns, ns, values, messages = collector.arrays()
-        resets, step = np.zeros(len(ns), dtype=np.int64), np.full(len(ns), -1)
-        if self.reset_times is not None:  # writers of bags keep the order of arrival
-            order = np.argsort(log_ns, kind='stable')
-            sequence, log_ns, ns, values, messages = (
-                array[order] for array in (sequence, log_ns, ns, values, messages))
-            found = np.searchsorted(self.reset_times, log_ns, 'right')
-            if collector.command:
-                sequence[:] = 0  # those of the recorder
-                ns = np.rint(1e9 * self.scene.step * self._steps_of_commands(log_ns, ns, found))
+        found, command = collector.series(), collector.command is not None
+        if self.reset_times is not None:
+            found = self._sent(found, command)
         if self.facts:
-            # In lock step, the stamp of the first state differs from its time by some ns.
-            step = np.rint(1e-9 * ns / self.scene.step).astype(np.int64)
-            ns = np.rint(step * self.scene.step * 1e9).astype(np.int64)
-            if collector.command and sequence.any() and ((step - sequence) % _WRAP).any():
-                raise LogError(f'{self.title}: log times of {collector.topic[:80]} do not '
-                               'agree with its sequence numbers, which are time steps')
-            resets = self.resets_before(step, found)
-            if (np.diff(step) < 0).any() and np.isin(step, self.resets).any():
-                raise LogError(f'{self.title}: {collector.topic[:80]} is in another order '
-                               'than it was logged in, so that it does not say which messages '
-                               'were before a reset')
-        elif collector.command:
-            ns = self._sim_time(log_ns)
+            found = self._at_steps(found, command)
         else:
-            order = np.argsort(log_ns, kind='stable')
-            falls = np.flatnonzero(np.diff(ns[order]) < -_RESTART)
-            if len(falls):
-                before, after = order[falls[0]:falls[0] + 2]
-                raise LogError(
-                    f'{self.title}: stamps of {collector.topic[:80]} fall from '
-                    f'{1e-9 * ns[before]:.6g} to {1e-9 * ns[after]:.6g} s at log time '
-                    f'{log_ns[after]} ns, where a simulator was started again: cut the bag '
-                    'there, so that each part has one run')
+            found = self._in_plain_bag(found, command)
         # The network, or a tool that has written the file again, may have changed the order.
-        order = np.argsort(ns, kind='stable')
-        resets, step, log_ns, ns, values, messages = (
-            array[order] for array in (resets, step, log_ns, ns, values, messages))
-        return Series(topic=collector.topic, columns=collector.columns, step=step, ns=ns,
-                      log_ns=log_ns, values=values, refused=collector.refused, resets=resets,
-                      data=messages.tolist() if collector.command else [])
+        return found.sorted_by(found.ns)
+
+    def _sent(self, found, command):
+        """Return messages of a bag with ~/scene by the times at which they were sent."""
+        found = found.sorted_by(found.log_ns)
+        resets = np.searchsorted(self.reset_times, found.log_ns, 'right')
+        if not command:
+            return replace(found, resets=resets)
+        ns = 1e9 * self.scene.step * self._steps_of_commands(found.log_ns, found.ns, resets)
+        # Sequence numbers are those of the recorder.
+        return replace(found, resets=resets, ns=np.rint(ns), step=np.zeros(len(ns), np.int64))
+
+    def _at_steps(self, found, command):
+        """Return messages with their time steps, which commands of a log have as numbers, too."""
+        # In lock step, the stamp of the first state differs from its time by some ns.
+        step = np.rint(1e-9 * found.ns / self.scene.step).astype(np.int64)
+        if command and found.step.any() and ((step - found.step) % _WRAP).any():
+            raise LogError(f'{self.title}: log times of {found.topic[:80]} do not agree with its '
+                           'sequence numbers, which are time steps')
+        if (np.diff(step) < 0).any() and np.isin(step, self.resets).any():
+            raise LogError(f'{self.title}: {found.topic[:80]} is in another order than it was '
+                           'logged in, so that it does not say which messages were before a reset')
+        return replace(found, step=step, resets=self.resets_before(step, found.resets),
+                       ns=np.rint(step * self.scene.step * 1e9).astype(np.int64))
+
+    def _in_plain_bag(self, found, command):
+        """Return messages with sim time, without steps; raise LogError if they are of two runs."""
+        ns = self._sim_time(found.log_ns) if command else found.ns
+        order = np.argsort(found.log_ns, kind='stable')
+        falls = np.flatnonzero(np.diff(ns[order]) < -_RESTART)
+        if len(falls):
+            before, after = order[falls[0]:falls[0] + 2]
+            raise LogError(f'{self.title}: stamps of {found.topic[:80]} fall from '
+                           f'{1e-9 * ns[before]:.6g} to {1e-9 * ns[after]:.6g} s at log time '
+                           f'{found.log_ns[after]} ns, where a simulator was started again: cut '
+                           'the bag there, so that each part has one run')
+        return replace(found, ns=ns, step=np.full(len(ns), -1), resets=np.zeros(len(ns), int))
 
     def _steps_of_commands(self, sent, stamps, resets):
         """
@@ -471,46 +475,49 @@ class _Collector:
     """
 
     def __init__(self, title, name, topic, type_name, frames, in_bag):
-        self.topic, self._title, self._name, self._type_name = topic, title, name, type_name
+        self._title, self._name, self._topic, self._type_name = title, name, topic, type_name
         self._frames, self._in_bag = frames, in_bag
         self.command = _COMMANDS.get(name)
-        self.columns = self.command.names if self.command else ()
-        self.refused, self._waiting, self._parts = 0, [], []
+        self._columns = self.command.names if self.command else ()
+        self._refused, self._waiting, self._parts = 0, [], []
 
-    def add(self, resets, message):
-        """Add the content of a message's record that comes after some resets."""
-        self._waiting.append((resets, message))
-        if len(self._waiting) == _AT_ONCE:
+    def add(self, messages):
+        """Add Messages."""
+        self._waiting.append(messages)
+        if sum(len(each.heads) for each in self._waiting) >= _AT_ONCE:
             self._convert()
 
-    def arrays(self):
-        """Return resets, sequence, log time, stamp, values and bytes in the order of the file."""
+    def series(self):
+        """Return a Series in the order of the file, with sequence numbers as steps."""
         if self._waiting:
             self._convert()
         none = np.zeros(0, dtype=np.int64)
-        return tuple(map(np.concatenate, zip(*self._parts or [
-            (*4 * [none], np.zeros((0, len(self.columns))), np.zeros(0, object))])))
+        resets, step, log_ns, ns, values, data = zip(*self._parts or [
+            (*4 * [none], np.zeros((0, len(self._columns))), [])])
+        return Series(
+            topic=self._topic, columns=self._columns, refused=self._refused,
+            resets=np.concatenate(resets), step=np.concatenate(step), ns=np.concatenate(ns),
+            log_ns=np.concatenate(log_ns), values=np.concatenate(values), data=[*chain(*data)])
 
     def _convert(self):
-        resets, messages = zip(*self._waiting)
-        self._waiting = []
-        heads = np.frombuffer(b''.join(each[:MESSAGE.size] for each in messages), _HEAD)
-        data = np.empty(len(messages), object)
-        data[:] = [each[MESSAGE.size:] for each in messages]
+        waiting, self._waiting = self._waiting, []
+        resets = np.concatenate([np.full(len(each.heads), each.resets) for each in waiting])
+        heads = np.concatenate([each.heads for each in waiting])
         log_ns = heads['publish_time' if self._in_bag else 'log_time'].astype(np.int64)
         try:
             if self.command:
-                kept, ns, values = self._read_commands(self.command, data)
-                ns = ns if self._in_bag else log_ns[kept]
+                data = [message for each in waiting for message in each.serialized()]
+                kept, stamps, values = self._read_commands(data)
+                ns, data = stamps if self._in_bag else log_ns[kept], [data[k] for k in kept]
             else:
-                kept, (ns, values) = slice(None), self._read_outputs(data)
+                kept, (ns, values), data = slice(None), self._read_outputs(waiting), []
         except CdrError as error:
-            raise LogError(f'{self._title}: a message on {self.topic[:80]} is not a '
+            raise LogError(f'{self._title}: a message on {self._topic[:80]} is not a '
                            f'{self._type_name}: {error}') from None
-        self._parts.append((np.array(resets)[kept], heads['sequence'].astype(np.int64)[kept],
-                            log_ns[kept], ns, values, data[kept]))
+        self._parts.append((resets[kept], heads['sequence'].astype(np.int64)[kept],
+                            log_ns[kept], ns, values, data))
 
-    def _read_commands(self, command, data):
+    def _read_commands(self, data):
         """Return which of n messages are not refused, their stamps or 0 [ns], and their rows."""
         kept, stamps, rows = [], [], []
         size, alike, fixed = -1, itemgetter(0), None  # of the last layout
@@ -523,31 +530,34 @@ class _Collector:
                 fixed = alike(message)
             numbers = [unpack_from('<d', message, place)[0] for place in found.doubles]
             try:
-                rows.append(command.row(found.texts, found.split(numbers), self._frames))
+                rows.append(self.command.row(found.texts, found.split(numbers), self._frames))
             except RefusedError:
-                self.refused += 1
+                self._refused += 1
                 continue
             kept.append(number)
             seconds, nanoseconds = unpack_from('<iI', message, found.stamps[0]) if (
                 found.stamps) else (0, 0)
             stamps.append(NANOSECONDS * seconds + nanoseconds)
         return (kept, np.array(stamps, dtype=np.int64),
-                np.array(rows, dtype=float).reshape(-1, len(self.columns)))
+                np.array(rows, dtype=float).reshape(-1, len(self._columns)))
 
-    def _read_outputs(self, data):
-        """Return stamps [ns] and values of n messages."""
-        found, size = layout(self._type_name, data[0]), len(data[0])
+    def _read_outputs(self, waiting):
+        """Return stamps [ns] and values of messages."""
+        first = waiting[0].rows()[0].tobytes()
+        found = layout(self._type_name, first)
         texts = found.texts[1:]  # after the frame
         output = {each.name: each for each in outputs(max(1, len(texts)))}[self._name]
         _, own, places = form(output.type_name, output.template)
         places = places[:len(output.columns)]
         if texts != own.texts[1:] or len(found.doubles) <= max(places, default=-1):
             raise CdrError(f'{", ".join(texts)[:80]} are not the joints of this node')
-        self.columns = self.columns or output.columns
-        rows = np.frombuffer(b''.join(data), np.uint8)
-        if {*map(len, data)} == {size} and self.columns == output.columns:
-            rows = rows.reshape(len(data), size)
-            if (rows[:, found.fixed] == rows[0, found.fixed]).all():
+        self._columns = self._columns or output.columns
+        if self._columns == output.columns and all(
+                (each.sizes == len(first)).all() for each in waiting):
+            rows = np.concatenate([each.rows() for each in waiting])
+            varying = np.full(len(first), 255, dtype=np.uint8)
+            varying[found.fixed] = 0
+            if (rows | varying == rows[0] | varying).all():
                 times = _eight_bytes(rows, found.stamps[:1], '<i4').astype(np.int64)
                 return NANOSECONDS * times[:, 0] + times[:, 1], _eight_bytes(
                     rows, [found.doubles[place] for place in places], '<f8')
