@@ -12,11 +12,11 @@ import math
 from typing import Annotated, NamedTuple
 
 import numpy as np
-from scipy.linalg.lapack import dgebal
 
 from timo_sim.compiled.constants import local_arrays
 from timo_sim.compiled.entry import entry_point
-from timo_sim.compiled.functions import Array, as_vectors, Constants, declare, inner, strict
+from timo_sim.compiled.functions import (
+    Array, as_vectors, Constants, declare, inner, magnitude, square_root, strict, WIDTH)
 from timo_sim.model.functions import copy, linear_part_is_valid, observe, rate
 from timo_sim.model.layout import AFTER, END, LOADS, MIDDLE, START, STEP_LOADS
 from timo_sim.steps.bristles import (
@@ -42,49 +42,94 @@ class Propagator(NamedTuple):
 
 def propagator(linear: np.ndarray, step: float) -> Propagator:
     """Return the matrices of a step h [s] for linear parts L, shape (..., m, m) [1/s]."""
-    (whole, phi_1, phi_2, phi_3), half = _phi_of_balanced(linear, step)
-    return Propagator(whole=whole, half=half[0], half_weight=0.5 * step * half[1],
-                      start_weight=step * (phi_1 - 3.0 * phi_2 + 4.0 * phi_3),
-                      middle_weight=step * (2.0 * phi_2 - 4.0 * phi_3),
-                      end_weight=step * (4.0 * phi_3 - phi_2))
+    size, count = linear.shape[-1], len(Propagator._fields)
+    every = np.ascontiguousarray(linear, dtype=float).reshape(-1, size * size)
+    found, compute = np.empty((len(every), count, size, size)), _propagate.of()
+    scale, room = np.empty(size), np.zeros((_MATRICES, size, -(-size // WIDTH) * WIDTH))
+    rows = room.reshape(-1, WIDTH)
+    for out, each in zip(found, every):
+        compute(each, size, step, _SERIES, scale, rows)
+        out[:] = room[:count, :, :size]
+    return Propagator._make(found.swapaxes(0, 1).reshape(count, *linear.shape))
 
 
 # The series of phi_3 is summed where the norm of its argument is at most _NORM. Cut off after
-# _TERMS terms, its relative error is 2^23 3! / 26! = 1e-19.
-_NORM, _TERMS = 2.0, 22
+# 22 terms, its relative error is 2^23 3! / 26! = 1e-19.
+_NORM, _SERIES = 2.0, np.array([1.0 / math.factorial(k + 3) for k in range(23)])
+_TERMS = len(_SERIES)
+# Places of matrices in the room of `_propagate`: phi_0 to phi_3 of the argument, those of half of
+# it, and the argument. At the end the first are those of a Propagator.
+_PHI, _HALF, _Z, _MATRICES = 0, 4, 8, 9
 
 
-def _phi_of_balanced(linear, step):
+@inner
+def _begin(size, matrix):
+    """Return the first row of a matrix in the room; each of its rows takes `_width` of them."""
+    return matrix * size * _width(size)
+
+
+@inner
+def _width(size):
+    return (size + WIDTH - 1) // WIDTH
+
+
+@inner
+def _multiply(room, size, first, second, out):
+    """Write the product of two matrices in the room; their number of rows is even."""
+    width, rows = _width(size), as_vectors(room)
+    a, c = _begin(size, first), _begin(size, out)
+    for _ in range(0, size, 2):
+        for j in range(width):
+            b = _begin(size, second) + j
+            upper, lower = room[a, 0] * rows[b, 0], room[a + width, 0] * rows[b, 0]
+            for k in range(1, size):
+                b += width
+                upper += room[a, k] * rows[b, 0]
+                lower += room[a + width, k] * rows[b, 0]
+            rows[c + j, 0], rows[c + width + j, 0] = upper, lower
+        a, c = a + 2 * width, c + 2 * width
+
+
+@inner
+def _add_one(room, size, matrix, value):
+    """Add a multiple of the unit matrix to a matrix in the room."""
+    for i in range(size):
+        room[_begin(size, matrix) + i * _width(size), i] += value
+
+
+@inner
+def _balance(room, size, scale):
+    """Replace L by S^-1 L S, whose rows and columns have like norms. Source: LAPACK, dgebal."""
+    begin, width, changed = _begin(size, _Z), _width(size), True
+    for i in range(size):
+        scale[i] = 1.0
+    while changed:
+        changed = False
+        for i in range(size):
+            column, row, factor = 0.0, 0.0, 1.0
+            for j in range(size):
+                column += room[begin + j * width, i] * room[begin + j * width, i]
+                row += room[begin + i * width, j] * room[begin + i * width, j]
+            column, row = square_root(column), square_root(row)
+            before = column + row
+            while 0.0 < column < 0.5 * row:
+                factor, column, row = 2.0 * factor, 2.0 * column, 0.5 * row
+            while 0.5 * column >= row > 0.0:
+                factor, column, row = 0.5 * factor, 0.5 * column, 2.0 * row
+            if column + row < 0.95 * before:
+                changed = True
+                scale[i] *= factor
+                for j in range(size):
+                    room[begin + i * width, j] /= factor
+                for j in range(size):
+                    room[begin + j * width, i] *= factor
+
+
+@entry_point(linear=Array((None,)), size=int, step=float, series=Array((None,)),
+             scale=Array((None,)), room=Array((None, WIDTH)))
+def _propagate(linear, size, step, series, scale, room):
     """
-    Return phi_0 to phi_3 of h L and of h L / 2, shape (2, 4, ..., m, m).
-
-    Stiffnesses and compliances differ by many decades, so that the norm of h L is far above the
-    phase h omega of the fastest vibration. A diagonal matrix S of powers of two balances L:
-    S^-1 L S has a norm of about that phase, S is exact in floating point, and
-    phi_k(L) = S phi_k(S^-1 L S) S^-1. Fewer doublings are then needed, and each costs digits.
-    """
-    every = linear.reshape(-1, *linear.shape[-2:])
-    found = [dgebal(each, scale=1, permute=0) for each in every]
-    # In the order of memory that LAPACK returns, on which the last bits of products depend.
-    balanced = np.array([each[0].T for each in found]).swapaxes(1, 2)
-    z, scale = step * balanced, np.array([each[3] for each in found])
-    norms = np.abs(z).sum(axis=1).max(axis=1)
-    # At least two: the last doubling but one gives the functions of h L / 2.
-    doublings = np.array([max(2, math.ceil(math.log2(norm / _NORM))) if norm > 0.0 else 2
-                          for norm in norms])
-    phi = np.empty((2, 4, *z.shape))
-    for number in np.unique(doublings):  # matrices with the same number go through together
-        those = doublings == number
-        phi[..., those, :, :] = _phi(
-            (z.swapaxes(1, 2)[those] / 2.0**number).swapaxes(1, 2), number)
-    phi *= scale[:, :, np.newaxis]
-    phi /= scale[:, np.newaxis, :]
-    return phi.reshape(*phi.shape[:-3], *linear.shape)
-
-
-def _phi(z, doublings):
-    """
-    Return phi_0 to phi_3 of matrices that are doubled some times, and of half of that.
+    Write the matrices of a Propagator to the room, which has zeros; `size` is m.
 
     The definition of phi_k, divided by z, would cancel for small eigenvalues, such as those of a
     free manipulator, which are zero. Therefore the series of phi_3 is summed for a small argument,
@@ -92,24 +137,63 @@ def _phi(z, doublings):
     by `2^k phi_k(2 z) = phi_0(z) phi_k(z) + sum_j phi_j(z) / (k - j)!`, j = 1..k. Source:
     Skaflestad and Wright, Appl. Numer. Math. 59 (2009) 783-799.
 
-    `z`, (n, m, m), have norms up to `_NORM`; the shape of the result is (2, 4, n, m, m).
+    Stiffnesses and compliances differ by many decades, so that the norm of h L is far above the
+    phase h omega of the fastest vibration. A diagonal matrix S of powers of two balances L:
+    S^-1 L S has a norm of about that phase, S is exact in floating point, and
+    phi_k(L) = S phi_k(S^-1 L S) S^-1. Fewer doublings are then needed, and each costs digits.
     """
-    one = np.eye(z.shape[-1])
-    diagonal = np.arange(len(one))
+    width, length, rows = _width(size), _begin(size, 1), as_vectors(room)
+    begin = _begin(size, _Z)
+    for i in range(size):
+        for j in range(size):
+            room[begin + i * width, j] = linear[i * size + j]
+    _balance(room, size, scale)
+    norm = 0.0
+    for j in range(size):
+        total = 0.0
+        for i in range(size):
+            total += magnitude(step * room[begin + i * width, j])
+        norm = max(norm, total)
+    # At least two: the last doubling but one gives the functions of h L / 2.
+    doublings, part = 2, 0.25
+    while norm * part > _NORM:
+        doublings, part = doublings + 1, 0.5 * part
+    for k in range(length):
+        rows[begin + k, 0] *= step * part
+        rows[3 * length + k, 0] = 0.0 * rows[begin + k, 0]
     # Horner's scheme for phi_3(z) = sum_k z^k / (k + 3)!
-    phi_3 = np.broadcast_to(one / float(math.factorial(_TERMS + 3)), z.shape)
-    for k in reversed(range(_TERMS)):
-        phi_3 = z @ phi_3
-        phi_3[:, diagonal, diagonal] += 1.0 / math.factorial(k + 3)
-    phi_2 = z @ phi_3 + 0.5 * one
-    phi_1 = z @ phi_2 + one
-    found = [np.array([z @ phi_1 + one, phi_1, phi_2, phi_3])]
+    _add_one(room, size, 3, series[_TERMS - 1])
+    for k in range(_TERMS - 2, 0, -2):
+        _multiply(room, size, _Z, 3, 0)
+        _add_one(room, size, 0, series[k])
+        _multiply(room, size, _Z, 0, 3)
+        _add_one(room, size, 3, series[k - 1])
+    for k in range(2, -1, -1):
+        _multiply(room, size, _Z, k + 1, k)
+        _add_one(room, size, k, 0.5 if k == 2 else 1.0)
     for _ in range(doublings):
-        phi_0, phi_1, phi_2, phi_3 = found[0]
-        found.insert(0, np.array([
-            phi_0 @ phi_0, 0.5 * (phi_0 @ phi_1 + phi_1), 0.25 * (phi_0 @ phi_2 + phi_1 + phi_2),
-            0.125 * (phi_0 @ phi_3 + 0.5 * phi_1 + phi_2 + phi_3)]))
-    return np.array(found[:2])
+        for k in range(4 * length):
+            rows[_HALF * length + k, 0] = rows[k, 0]
+        for k in range(4):
+            _multiply(room, size, _HALF, _HALF + k, k)
+        for k in range(length):
+            one, two, three = (rows[(_HALF + 1) * length + k, 0], rows[
+                (_HALF + 2) * length + k, 0], rows[(_HALF + 3) * length + k, 0])
+            rows[length + k, 0] = 0.5 * (rows[length + k, 0] + one)
+            rows[2 * length + k, 0] = 0.25 * (rows[2 * length + k, 0] + one + two)
+            rows[3 * length + k, 0] = 0.125 * (rows[3 * length + k, 0] + 0.5 * one + two + three)
+    for i in range(size):
+        for j in range(size):
+            place, ratio = i * width, scale[i] / scale[j]
+            one, two, three = room[length + place, j], room[2 * length + place, j], room[
+                3 * length + place, j]
+            room[place, j] *= ratio
+            room[length + place, j] = ratio * room[_HALF * length + place, j]
+            room[2 * length + place, j] = 0.5 * step * ratio * room[
+                (_HALF + 1) * length + place, j]
+            room[3 * length + place, j] = step * ratio * (one - 3.0 * two + 4.0 * three)
+            room[4 * length + place, j] = step * ratio * (2.0 * two - 4.0 * three)
+            room[5 * length + place, j] = step * ratio * (4.0 * three - two)
 
 
 @inner

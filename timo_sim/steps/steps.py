@@ -14,7 +14,7 @@ from timo_sim.model.layout import AFTER, LOADS, STEP_LOADS
 from timo_sim.steps import etdrk4
 from timo_sim.steps.bristles import (
     Bristles, BRISTLES, bristles_of, MEMORY, memory_at, REACH, SLOW, swing_of, UNITS)
-from timo_sim.steps.etdrk4 import Propagator, propagator
+from timo_sim.steps.etdrk4 import propagator
 
 NO_LOADS = np.zeros((0, STEP_LOADS, LOADS))
 CHUNK = 2048  # most steps at once, for which loads are tabulated
@@ -22,7 +22,7 @@ CHUNK = 2048  # most steps at once, for which loads are tabulated
 
 def matrices_of(linear: np.ndarray, step: float) -> NamedTuple:
     """Return the constants of `one_step`, transposed for `product`; their kind is the method."""
-    return Propagator._make(each.swapaxes(-1, -2) for each in propagator(linear, step))
+    return propagator(linear.swapaxes(-1, -2), step)
 
 
 class Samples(NamedTuple):
