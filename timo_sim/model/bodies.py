@@ -13,6 +13,8 @@ import numpy as np
 from numpy.polynomial import legendre
 from numpy.typing import ArrayLike
 
+from timo_sim.compiled.entry import entry_point
+from timo_sim.compiled.functions import Array
 from timo_sim.model.functions import motor_effort, motor_torque
 from timo_sim.model.layout import MOTOR_FRICTION, TORQUE
 
@@ -301,12 +303,23 @@ def legendre_values(x: np.ndarray, count: int) -> tuple[np.ndarray, np.ndarray]:
 
     At points in [-1, 1], shape (n,); both have shape (n, count).
     """
-    values = legendre.legvander(x, count)
-    integrals = np.empty((len(x), count))
-    integrals[:, :1] = x[:, np.newaxis] + 1.0
-    degree = np.arange(1, count)
-    integrals[:, 1:] = (values[:, 2:] - values[:, :-2]) / (2 * degree + 1)
-    return values[:, :count], integrals
+    values, integrals = found = np.empty((2, len(x), count))
+    set_legendre(np.ascontiguousarray(x, dtype=float), len(x), count, values.ravel(),
+                 integrals.ravel())
+    return found
+
+
+@entry_point(x=Array((None,)), points=int, count=int, values=Array((None,)),
+             integrals=Array((None,)))
+def set_legendre(x, points, count, values, integrals):
+    """Write what `legendre_values` returns."""
+    for i in range(points):
+        place, before, value = i * count, 0.0, 1.0
+        for n in range(count):
+            after = (x[i] * value * (2 * n + 1) - before * n) / (n + 1)
+            values[place + n] = value
+            integrals[place + n] = (after - before) / (2 * n + 1) if n else x[i] + 1.0
+            before, value = value, after
 
 
 @functools.lru_cache(maxsize=64)

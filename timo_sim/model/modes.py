@@ -118,19 +118,14 @@ class UniformModes(Modes):
             end_effector_mass=manipulator.end_effector_mass,
             end_effector_inertia=manipulator.end_effector_inertia))
         self._compute_fields, self._known = fields.of(self._arm), {}
-        self.omega = self._roots(manipulator, count)
-        # The shares of the waves in a mode are the null vector of its boundary conditions (T7).
-        matrices, scales = np.empty((count, 4, 4)), np.empty((count, 4))
-        conditions = boundary_conditions.of(self._arm)
-        for omega, matrix, scale in zip(self.omega, matrices, scales):
-            conditions(omega, matrix, scale)
-        self._shape = np.linalg.svd(matrices)[2][:, -1] / scales
+        self.omega, self._shape = np.empty(count), np.empty((count, 4))
+        if lowest_modes(self._arm, self.omega, self._shape, count) < count:
+            raise ValueError('two modes of the arm are not separate')
         fine = Quadrature(manipulator.arm.breaks, 4 * count + 40)
         mass, inertia = manipulator.inertia(fine)
         deflection, rotation, _, _ = self._fields(fine.points)
         modal_mass = mass @ deflection**2 + inertia @ rotation**2
-        sign = np.sign(self.curvature(np.zeros(1))[0])
-        self._shape *= (sign / np.sqrt(modal_mass))[:, np.newaxis]
+        self._shape /= np.sqrt(modal_mass)[:, np.newaxis]
         self._known = {}
 
     def _field(self, name, xi):
@@ -148,21 +143,6 @@ class UniformModes(Modes):
             found = values.reshape(len(xi), len(self), 4).transpose(2, 0, 1)
             self._known = {**dict([*self._known.items()][-1:]), key: found}
         return found
-
-    def _roots(self, manipulator, count):
-        omega = np.zeros(count)
-        if count == 0:
-            return omega
-        guesses = frequencies(manipulator, count + 1)
-        # One Galerkin frequency lies between two limits, so the determinant of the boundary
-        # conditions must change sign there. The limits are rounded, because the last bits of the
-        # guesses depend on the number of BLAS threads, and those of the frequencies should not.
-        limits = np.append(0.5 * guesses[0], np.sqrt(guesses[:-1] * guesses[1:]))
-        limits = limits.astype(np.float32).astype(float)
-        found = bisect(self._arm, limits, omega, count, np.empty((4, 4)), np.empty(4))
-        if found < count:
-            raise ValueError(f'mode {found + 1} of the arm is not separate from its neighbours')
-        return omega
 
 
 # Waves of a uniform arm, whose sums are its mode shapes: boundary conditions and fields, compiled.
@@ -237,90 +217,148 @@ def _waves(arm, omega, xi):
             (first, first, second, second), nu)
 
 
-@entry_point(arm=Constants(), omega=float, matrix=Array((4, 4)), scale=Array((4,)))
-def boundary_conditions(arm, omega, matrix, scale):
-    """
-    Write the boundary conditions of a `UniformArm` at a frequency [rad/s].
-
-    `matrix` receives W(0), Phi(0), shear force and moment balance of the end effector as rows, one
-    column for each wave; first rows, then columns are scaled to length 1. `scale` receives the
-    lengths of the columns.
-    """
-    g_root, integral_root, s, nu = _waves(arm, omega, 0.0)
-    g_tip, integral_tip, _, _ = _waves(arm, omega, arm.length)
-    for j in range(4):
-        matrix[0, j] = g_root[j]
-        matrix[1, j] = (s[j] + nu) * integral_root[j]
-        matrix[2, j] = (-arm.shear_stiffness * nu * integral_tip[j]
-                        - arm.end_effector_mass * omega * omega * g_tip[j])
-        matrix[3, j] = (s[j] + nu) * (arm.bending_stiffness * g_tip[j]
-                                      - arm.end_effector_inertia * omega * omega * integral_tip[j])
-    for i in range(4):
-        length = square_root(_square(matrix[i, 0]) + _square(matrix[i, 1])
-                             + _square(matrix[i, 2]) + _square(matrix[i, 3]))
-        for j in range(4):
-            matrix[i, j] /= length
-    for j in range(4):
-        scale[j] = square_root(_square(matrix[0, j]) + _square(matrix[1, j])
-                               + _square(matrix[2, j]) + _square(matrix[3, j]))
-        for i in range(4):
-            matrix[i, j] /= scale[j]
+@strict
+def _minors(one, two):
+    """Return the minors of two rows, for columns 01, 02, 03, 23, 31, 12: complements three on."""
+    return (one[0] * two[1] - one[1] * two[0], one[0] * two[2] - one[2] * two[0],
+            one[0] * two[3] - one[3] * two[0], one[2] * two[3] - one[3] * two[2],
+            one[3] * two[1] - one[1] * two[3], one[1] * two[2] - one[2] * two[1])
 
 
 @strict
-def _minor(matrix, i, j, k):
-    """Return the minor of rows i, i + 1 and columns j, k."""
-    return matrix[i, j] * matrix[i + 1, k] - matrix[i, k] * matrix[i + 1, j]
-
-
-# Columns of a minor of the first two rows, and of the last two in the order that gives the sign.
-_LAPLACE = ((0, 1, 2, 3), (0, 2, 3, 1), (0, 3, 1, 2), (1, 2, 0, 3), (1, 3, 2, 0), (2, 3, 0, 1))
+def _determinant(upper, lower):
+    """Return the determinant of four rows, given the minors of the first and the last two."""
+    return (upper[0] * lower[3] + upper[1] * lower[4] + upper[2] * lower[5]
+            + upper[3] * lower[0] + upper[4] * lower[1] + upper[5] * lower[2])
 
 
 @strict
-def _determinant(arm, omega, matrix, scale):
-    """Return the determinant of the boundary conditions at a frequency."""
-    boundary_conditions(arm, omega, matrix, scale)
-    total = 0.0
-    for j, k, m, n in _LAPLACE:  # a loop, because numba would compile each call by its columns
-        total += _minor(matrix, 0, j, k) * _minor(matrix, 2, m, n)
-    return total
+def _plus(row, share, other):
+    return (row[0] + share * other[0], row[1] + share * other[1],
+            row[2] + share * other[2], row[3] + share * other[3])
 
 
-@entry_point(arm=Constants(), limits=Array((None,)), omega=Array((None,)), count=int,
-             matrix=Array((4, 4)), scale=Array((4,)))
-def bisect(arm, limits, omega, count, matrix, scale):
+@strict
+def _scaled(row, factors):
+    return (row[0] * factors[0], row[1] * factors[1], row[2] * factors[2], row[3] * factors[3])
+
+
+@strict
+def _at_root(arm, omega):
+    """Return deflection, rotation and curvature of the four waves at the root."""
+    g, integral, s, nu = _waves(arm, omega, 0.0)
+    sums = (s[0] + nu, s[1] + nu, s[2] + nu, s[3] + nu)
+    return g, _scaled(integral, sums), _scaled(g, sums)
+
+
+@strict
+def _at_tip(arm, omega):
     """
-    Find one eigenfrequency between each two of `count + 1` ascending limits, to the last bit.
+    Return deflection, rotation and curvature of the four waves at the tip, and what is left there.
 
-    Return how many are found, in `omega` [rad/s], before a pair of limits between which the
-    determinant of the boundary conditions does not change sign. `matrix` and `scale` are room for
-    `boundary_conditions`.
+    The last two are the balances of force and moment with the end effector, over stiffnesses.
     """
+    g, integral, s, nu = _waves(arm, omega, arm.length)
+    sums, square = (s[0] + nu, s[1] + nu, s[2] + nu, s[3] + nu), omega * omega
+    rotation, curvature = _scaled(integral, sums), _scaled(g, sums)
+    force = _plus(_scaled(integral, (-nu, -nu, -nu, -nu)),
+                  -arm.end_effector_mass * square / arm.shear_stiffness, g)
+    moment = _plus(curvature, -arm.end_effector_inertia * square / arm.bending_stiffness, rotation)
+    return g, rotation, curvature, force, moment
+
+
+@strict
+def _cofactors(row, minors):
+    """Return the vector that is orthogonal to a row and to the two rows of minors."""
+    return (row[1] * minors[3] + row[2] * minors[4] + row[3] * minors[5],
+            -row[0] * minors[3] + row[2] * minors[2] - row[3] * minors[1],
+            -row[0] * minors[4] - row[1] * minors[2] + row[3] * minors[0],
+            -row[0] * minors[5] + row[1] * minors[1] - row[2] * minors[0])
+
+
+@strict
+def _dot(one, two):
+    return one[0] * two[0] + one[1] * two[1] + one[2] * two[2] + one[3] * two[3]
+
+
+@strict
+def _differ(one, other):
+    return 1 if (one < 0.0) != (other < 0.0) else 0
+
+
+@strict
+def _modes_below(arm, omega):
+    """
+    Return the number of eigenfrequencies below a frequency.
+
+    Modes of the arm pinned at both ends are sines, so that their number is known. A constraint
+    that is added takes a mode from below if the dynamic stiffness there is negative, one that is
+    released, or a body that is added, gives one. Such a stiffness is a ratio of determinants: of
+    the arm pinned, clamped at the root, clamped at both ends, then with the inertia and the mass
+    of the end effector at its tip.
+
+    Source: Wittrick and Williams, Q. J. Mech. Appl. Math. 24 (1971) 263-284.
+    """
+    first, second, _ = _wave_numbers(arm, omega)
+    count = math.floor(square_root(-first) * arm.length / math.pi)
+    if second < 0.0:
+        count += 1 + math.floor(square_root(-second) * arm.length / math.pi)
+    deflection, rotation, curvature = _at_root(arm, omega)
+    clamped, pinned = _minors(deflection, rotation), _minors(curvature, deflection)
+    deflection, rotation, curvature, force, moment = _at_tip(arm, omega)
+    both_pinned = _determinant(pinned, _minors(deflection, curvature))
+    root_clamped = _determinant(clamped, _minors(deflection, curvature))
+    both_clamped = _determinant(clamped, _minors(deflection, rotation))
+    with_inertia = _determinant(clamped, _minors(deflection, moment))
+    return (count - _differ(both_pinned, root_clamped) - _differ(root_clamped, both_clamped)
+            + _differ(both_clamped, with_inertia)
+            + _differ(with_inertia, _determinant(clamped, _minors(force, moment))))
+
+
+@strict
+def _set_shape(arm, omega, shape):
+    """Write the shares of the waves in a mode, the null vector of its boundary conditions (T7)."""
+    deflection, rotation, curvature = _at_root(arm, omega)
+    force, moment = _at_tip(arm, omega)[3:]
+    minors = _minors(deflection, rotation)
+    one, other = _cofactors(force, minors), _cofactors(moment, minors)
+    if _dot(one, one) * _dot(moment, moment) < _dot(other, other) * _dot(force, force):
+        one = other
+    sign = 1.0 if _dot(one, curvature) > 0.0 else -1.0
+    for j in range(4):
+        shape[j] = sign * one[j]
+
+
+_HIGHEST = 1e100  # frequency whose square does not overflow [rad/s]
+
+
+@entry_point(arm=Constants(), omega=Array((None,)), shape=Array((None, 4)), count=int)
+def lowest_modes(arm, omega, shape, count):
+    """
+    Write the lowest eigenfrequencies [rad/s], `count` of them, to the last bit, and shapes.
+
+    Return how many are found before one that is not above the one before.
+    """
+    least = square_root(arm.bending_stiffness / arm.mass_per_length) / (arm.length * arm.length)
     for n in range(count):
-        low, high = limits[n], limits[n + 1]
-        at_low = at_high = 0.0
-        point = low
-        # The determinant has one place in this loop, because it is compiled for each place.
+        low = omega[n - 1] if n else 0.0
+        high = max(2.0 * low, least)
+        while _modes_below(arm, high) <= n:
+            low, high = high, 2.0 * high
+            if not high < _HIGHEST:
+                return n
         while True:
-            value = _determinant(arm, point, matrix, scale)
-            if at_low == 0.0:
-                at_low, point = value, high
-                if value == 0.0:
-                    return n
-                continue
-            if at_high == 0.0:
-                at_high = value
-                if not at_low * value < 0.0:
-                    return n
-            elif at_low * value > 0.0:
-                low = point
-            else:
-                high = point
-            point = 0.5 * (low + high)
-            if not low < point < high:
+            middle = 0.5 * (low + high)
+            if not low < middle < high:
                 break
-        omega[n] = point
+            if _modes_below(arm, middle) > n:
+                high = middle
+            else:
+                low = middle
+        omega[n] = high
+        if n and not high > omega[n - 1] * (1.0 + 1e-12):
+            return n
+        _set_shape(arm, high, shape[n])
     return count
 
 
@@ -433,7 +471,7 @@ def _of_arm(arm, terms):
         [integrate * bend, np.zeros_like(integrate)])
 
 
-def _strain_modes(manipulator, terms, vectors=True):
+def _strain_modes(manipulator, terms):
     # Returns the singular value decomposition of G, see `GalerkinModes`, and the factors from
     # scaled to nodal strains of bending and shear.
     arm = manipulator.arm
@@ -441,17 +479,7 @@ def _strain_modes(manipulator, terms, vectors=True):
     bend, shear, deflection, rotation = _of_arm(arm, terms)
     mass, inertia = (np.sqrt(values)[:, np.newaxis] for values in manipulator.inertia(fine))
     matrix = np.concatenate([mass * deflection, inertia * rotation])
-    return np.linalg.svd(matrix, full_matrices=False, compute_uv=vectors), bend, shear
-
-
-def frequencies(manipulator: Manipulator, count: int) -> np.ndarray:
-    """
-    Return the lowest eigenfrequencies of an arm, ascending, shape (count,) [rad/s].
-
-    With fewer terms than `GalerkinModes` they are within 1e-6 for slender and thick arms with
-    0.001 to 1000 times the arm's mass at the tip, which is enough to separate the modes.
-    """
-    return 1.0 / _strain_modes(manipulator, 2 * count + 8, vectors=False)[0][:count]
+    return np.linalg.svd(matrix, full_matrices=False), bend, shear
 
 
 class StaticModes(JoinedModes):
