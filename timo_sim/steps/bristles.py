@@ -12,6 +12,7 @@ step deflections are set once, by the cubic through place and speed at both ends
 here branches on a float, so that the same text serves lanes.
 """
 
+from functools import lru_cache
 from typing import Annotated, NamedTuple
 
 import numpy as np
@@ -102,7 +103,17 @@ def mobilities(model: Formulation, motion: np.ndarray | None = None) -> list[np.
 
     The arm is straight, or as in a motion, (2 (3 + N),).
     """
-    motion = np.zeros(model.size) if motion is None else motion.copy()
+    bent = motion is not None and motion[3:model.size // 2].any()
+    return _mobilities(model, motion) if bent else _of_straight_arm(model)
+
+
+@lru_cache(maxsize=8)
+def _of_straight_arm(model):
+    return _mobilities(model, np.zeros(model.size))
+
+
+def _mobilities(model, motion):
+    motion = motion.copy()
     free, found = [*model.axes, *range(2 + model.driven, model.size // 2)], []
     joints = model.joint_turns.T[:, free]
     for motion[2] in (0.0, 0.5 * np.pi):
