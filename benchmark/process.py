@@ -10,6 +10,8 @@ import re
 import signal
 import subprocess
 import sys
+from tempfile import TemporaryFile
+import time
 
 from benchmark import ROOT
 from oracles.domains import own_domain
@@ -21,6 +23,7 @@ ENVIRONMENT = {**os.environ, 'ROS_AUTOMATIC_DISCOVERY_RANGE': 'LOCALHOST',
                'ROS_DOMAIN_ID': str(own_domain()), 'PYTHONPATH': os.pathsep.join(
                    [str(ROOT), *filter(None, [os.environ.get('PYTHONPATH')])])}
 ENVIRONMENT.pop('PYTHONDONTWRITEBYTECODE', None)
+LONGEST = 300.0  # [s] that end a hang, on a busy machine, too
 
 
 def arguments(rate=1000.0, **parameters):
@@ -36,19 +39,59 @@ def options(**parameters):
         '-p', f'{name}:={str(value).lower() if isinstance(value, bool) else value}')]
 
 
+class Process(subprocess.Popen):
+    """A Python process, which keeps what it prints in a file."""
+
+    def __init__(self, arguments, **options):
+        self._output = TemporaryFile()
+        super().__init__([sys.executable, *arguments], stdout=self._output,
+                         stderr=subprocess.STDOUT, **options)
+
+    def said(self):
+        """Return what it has printed so far."""
+        file = self._output.fileno()  # the process writes where this file is: it must stay there
+        return os.pread(file, os.fstat(file).st_size, 0).decode(errors='replace')
+
+    def finish(self):
+        """Wait for its end; raise RuntimeError with what it has printed if its code is not 0."""
+        if self.wait():
+            raise self.error()
+
+    def error(self):
+        """Return the RuntimeError of its end, with its code and what it has printed."""
+        return RuntimeError(f'code {self.returncode} of {self.args!r}:\n{self.said()}')
+
+
 @contextmanager
 def running(arguments, **options):
-    """Start a Python process, and end it, even if it is stopped."""
-    process = subprocess.Popen([sys.executable, *arguments], text=True, **options)
+    """Start a Process, and end it, even if it is stopped."""
+    process = Process(arguments, **options)
     try:
         yield process
     finally:
         if process.poll() is None:
             process.send_signal(signal.SIGCONT)
             process.terminate()
-        if process.stdout is None or not process.stdout.closed:  # a reader closes it at its end
-            process.communicate()
         process.wait()
+
+
+def wait(done, *needed):
+    """
+    Wait until `done()` is true, and return what it is.
+
+    Raises RuntimeError with what a needed Process has printed, if one ends before that, and
+    TimeoutError with what they all have, if it takes more than `LONGEST` seconds.
+    """
+    end = time.monotonic() + LONGEST
+    while True:
+        dead = [process for process in needed if process.poll() is not None]
+        if found := done():
+            return found
+        if dead:
+            raise dead[0].error()
+        if time.monotonic() > end:
+            raise TimeoutError('\n'.join(process.said() for process in needed))
+        time.sleep(0.02)
 
 
 def resident(pid):

@@ -43,7 +43,7 @@ def python(*arguments, **options):
 def test_linters():
     started = [subprocess.Popen([sys.executable, '-m', *command], cwd=ROOT, text=True,
                                 stdout=subprocess.PIPE, stderr=subprocess.STDOUT)
-               for command in (['flake8', *FOLDERS], ['mypy', 'timo_sim'],
+               for command in (['flake8', *FOLDERS], ['mypy', 'timo_sim', 'benchmark'],
                                ['pydocstyle', 'timo_sim', 'bringup', 'hardware'])]
     told = [process.communicate()[0] for process in started]
     assert not any(process.returncode for process in started), '\n'.join(told)

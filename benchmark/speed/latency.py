@@ -16,8 +16,8 @@ from importlib.metadata import version
 import os
 from pathlib import Path
 import random
+import re
 import statistics
-import subprocess
 import tempfile
 import time
 
@@ -28,7 +28,7 @@ from rclpy.node import Node
 from sensor_msgs.msg import JointState
 from std_msgs.msg import Float64
 
-from benchmark.process import ENVIRONMENT, running
+from benchmark.process import ENVIRONMENT, running, wait
 from benchmark.report import measured_on, parser, table
 from benchmark.speed.node import spread, started
 from benchmark.speed.node_processes import EXECUTORS
@@ -85,14 +85,13 @@ def samples(count):
         path = Path(folder) / 'ticks.npy'
         with ExitStack() as stack:
             node = stack.enter_context(started('node', path, *BASE, cwd=folder))
-            stack.enter_context(started('echo', 'EventsExecutor'))
+            echo = stack.enter_context(started('echo', 'EventsExecutor'))
             client = Client()
-            for name in ('node', 'echo'):
-                while client.sample(name) is None:
-                    pass
+            for name, process in ('node', node), ('echo', echo):
+                wait(lambda name=name: client.sample(name), process)
             pairs = [(client.sample('node'), client.sample('echo')) for _ in range(count)]
             node.terminate()
-            node.wait()
+            node.finish()
         ticks = np.load(path)
     last = np.cumsum(ticks[:, 2])
     ours, theirs = [], []
@@ -121,16 +120,13 @@ def periods(server, domain, executor):
     environment = {**ENVIRONMENT, 'ROS_DOMAIN_ID': str(domain)}
     with tempfile.TemporaryDirectory() as folder, ExitStack() as stack:
         if server == 'node':
-            stack.enter_context(running(
-                ['-m', 'timo_sim.cli.sim_node', *WAITS], env=environment, cwd=folder,
-                stdout=subprocess.DEVNULL, stderr=subprocess.STDOUT))
+            serving = running(['-m', 'timo_sim.cli.sim_node', *WAITS], env=environment, cwd=folder)
         else:
-            stack.enter_context(started('server', executor, environment=environment))
-        controller = stack.enter_context(started(
-            'controller', executor, environment=environment, stdout=subprocess.PIPE))
-        # The middleware may print lines, too.
-        return float(next(line for line in controller.stdout
-                          if line.startswith('rate ')).removeprefix('rate '))
+            serving = started('server', executor, environment=environment)
+        served = stack.enter_context(serving)
+        controller = stack.enter_context(started('controller', executor, environment=environment))
+        return float(wait(lambda: re.search(r'^rate (.*)\n', controller.said(), re.MULTILINE),
+                          controller, served)[1])
 
 
 def lock_step(turns):

@@ -10,35 +10,30 @@ busy for all of them; the result is the median over the turns of the ratio withi
 `node_processes` describes the peers.
 """
 
-from contextlib import contextmanager, ExitStack
+from contextlib import ExitStack
 import os
 from pathlib import Path
 import re
 import shutil
 import signal
 import statistics
-import subprocess
 import tempfile
-import threading
 import time
 
 import numpy as np
 
 from benchmark import ROOT
-from benchmark.process import arguments, ENVIRONMENT, RATES, resident, running
+from benchmark.process import arguments, ENVIRONMENT, RATES, resident, running, wait
 from oracles.domains import own_domain
 
 START_UP, SETTLE = 4.0, 0.5   # [s]
 DAY = 86400.0  # [s]
 
 
-@contextmanager
 def started(name, argument, *extra, environment=ENVIRONMENT, **options):
     """Start one of `node_processes`, and end it after the context."""
-    with running(['-m', 'benchmark.speed.node_processes', name, str(argument), *extra],
-                 env=environment, **{'stdout': subprocess.DEVNULL, 'stderr': subprocess.STDOUT,
-                                     **options}) as process:
-        yield process
+    return running(['-m', 'benchmark.speed.node_processes', name, str(argument), *extra],
+                   env=environment, **options)
 
 
 class Peer:
@@ -54,13 +49,12 @@ class Peer:
         environment = {**ENVIRONMENT, 'ROS_DOMAIN_ID': domain}
         self._path, self._turns, self.cpu, self.ticks = Path(folder, f'{domain}.npy'), [], None, []
         if listened:
-            listener = stack.enter_context(
-                started('listener', '', environment=environment, stdout=subprocess.PIPE))
-            _expect(listener, 'listening')
+            listener = stack.enter_context(started('listener', '', environment=environment))
+            wait(lambda: 'listening' in listener.said(), listener)
         self._process = stack.enter_context(
             started(name, self._path, *extra, environment=environment, cwd=folder))
         if listened:
-            _expect(listener, 'hearing')
+            wait(lambda: 'hearing' in listener.said(), listener, self._process)
         else:
             time.sleep(START_UP)
         self._process.send_signal(signal.SIGSTOP)
@@ -84,8 +78,7 @@ class Peer:
         """End the process and read when its ticks were."""
         self._process.send_signal(signal.SIGCONT)
         self._process.terminate()
-        if self._process.wait() != 0:
-            raise RuntimeError('a peer failed')
+        self._process.finish()
         times = np.load(self._path)
         self.ticks = [times[(times[:, 0] > begin) & (times[:, 1] < end)]
                       for begin, end, _ in self._turns]
@@ -96,15 +89,6 @@ class Peer:
         """Return, for each turn, the time of ticks for each of their steps [s]."""
         return [(ticks[:, 1] - ticks[:, 0])[ticks[:, 2] > 0] / ticks[ticks[:, 2] > 0, 2]
                 for ticks in self.ticks]
-
-
-def _expect(process, word):
-    lines = []
-    for line in process.stdout:  # the middleware may print lines, too
-        lines.append(line.strip())
-        if lines[-1] == word:
-            return
-    raise RuntimeError('\n'.join(lines))
 
 
 def compare(turns, seconds, **peers):
@@ -186,12 +170,9 @@ def finished(*extra, environment=ENVIRONMENT):
     """Run a node to its end; return when it was started, its ticks and its output."""
     with tempfile.TemporaryDirectory() as folder:
         begin = time.monotonic()
-        with started('node', 'ticks.npy', *extra, environment=environment, cwd=folder,
-                     stdout=subprocess.PIPE) as process:
-            output = process.communicate()[0]
-            if process.returncode:
-                raise RuntimeError(output)
-        return begin, np.load(Path(folder) / 'ticks.npy'), output
+        with started('node', 'ticks.npy', *extra, environment=environment, cwd=folder) as process:
+            process.finish()
+        return begin, np.load(Path(folder) / 'ticks.npy'), process.said()
 
 
 def jitter_rows(seconds, long):
@@ -241,8 +222,7 @@ def start_rows(times):
                 with running(['-m', 'timo_sim.export.prebuilt',
                               str(package / 'compiled' / 'prebuilt'), 'editable'],
                              env=environment, cwd=folder) as build:
-                    if build.wait():
-                        raise RuntimeError('the machine code of the package is not made')
+                    build.finish()
             taken[name] = []
             for _ in range(1 + times * (name == 'installed')):
                 begin, ticks, _ = finished(*arguments(duration=0.01), environment=environment)
@@ -268,22 +248,16 @@ def rows(quick):
 
 def memory(quick):
     """Return the row of the memory of a logged day, extrapolated from ten minutes of sim time."""
-    duration, seen, samples = 60.0 if quick else 600.0, [], []
+    duration, samples = 60.0 if quick else 600.0, []
     with tempfile.TemporaryDirectory() as folder, running(
             ['-m', 'timo_sim.cli.sim_node', *arguments(
                 record=True, record_file='run.mcap', real_time_factor=0.0, duration=duration)],
-            env=ENVIRONMENT, cwd=folder, stdout=subprocess.PIPE,
-            stderr=subprocess.STDOUT) as process:
-        reader = threading.Thread(target=lambda: seen.append(process.stdout.read()))
-        reader.start()
+            env=ENVIRONMENT, cwd=folder) as process:
         while process.poll() is None:
             samples.append((time.monotonic(), 1e-6 * resident(process.pid)))
             time.sleep(0.1)
-        reader.join()
-        process.stdout.close()
-        if process.returncode:
-            raise RuntimeError(seen[0])
-    wall = float(re.search(r'simulated \S+ s in (\S+) s', seen[0])[1])
+        process.finish()
+    wall = float(re.search(r'simulated \S+ s in (\S+) s', process.said())[1])
     moments, sizes = np.array([each for each in samples if each[1]]).T
     sim_time = (moments - moments[-1] + wall) / wall * duration
     late = sim_time > 0.3 * duration

@@ -180,16 +180,17 @@ def timer(path):
 def sim_node(path, extra):
     """Run `sim_node` with a command line, its ticks timed."""
     from timo_sim.cli.sim_node import StopRequest
-    from timo_sim.ros import process
+    from timo_sim.ros.node import SimNode
+    from timo_sim.ros.process import run
     ticks = Ticks()
 
-    class Timed(process.SimNode):
+    class Timed(SimNode):
         def _tick(self):
             return ticks.time(super()._tick, lambda: self._simulator.steps)
 
-    process.SimNode = Timed
-    process.run(StopRequest(), extra)
+    code = run(StopRequest(), extra, Timed)
     ticks.save(path)
+    return code
 
 
 def listener(_):
@@ -214,8 +215,7 @@ def spin(node, executor, done=lambda: False):
 def main(name, argument, *extra):
     """Run one of them."""
     if name == 'node':
-        sim_node(argument, list(extra))
-        return
+        sys.exit(sim_node(argument, list(extra)))
     for number in (signal.SIGINT, signal.SIGTERM):
         signal.signal(number, lambda *_: END.set())
     rclpy.init(signal_handler_options=SignalHandlerOptions.NO)

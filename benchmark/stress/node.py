@@ -20,8 +20,8 @@ import time
 import numpy as np
 
 from benchmark import ROOT
-from benchmark.process import ENVIRONMENT, running
-from benchmark.stress.node_process import LEAKY, Node, READY, survived
+from benchmark.process import ENVIRONMENT, LONGEST, running, wait
+from benchmark.stress.node_process import LEAKY, Node, survived
 from timo_sim.log.tables import Recording
 
 SOAK = 60.0  # [s] of each of two
@@ -30,7 +30,7 @@ SOAK = 60.0  # [s] of each of two
 def attack(name, *arguments, environment=ENVIRONMENT, **options):
     """Run an attacking process."""
     return running(['-m', 'benchmark.stress.attackers', name, *arguments], env=environment,
-                   stdout=subprocess.PIPE, **options)
+                   **options)
 
 
 def attacked(what, seconds, attackers, killed=0, check=None, planted=False, **parameters):
@@ -39,7 +39,8 @@ def attacked(what, seconds, attackers, killed=0, check=None, planted=False, **pa
         node = Node(folder, **parameters).ready()
         processes = [stack.enter_context(attack(name)) for name in attackers]
         if 'bad' in attackers:
-            processes[attackers.index('bad')].stdout.readline()
+            bad = processes[attackers.index('bad')]
+            wait(lambda: 'sent' in bad.said(), bad)
         time.sleep(2.0)
         for process in processes[:killed]:
             process.kill()
@@ -82,7 +83,7 @@ def deaf_row(seconds):
     with tempfile.TemporaryDirectory() as folder, attack('reader') as reader:
         rates = {f'rate.{topic}': 1000.0 for topic in ('joint_states', 'tip_deflection')}
         node = Node(folder, **rates).ready()
-        reader.stdout.readline()
+        wait(lambda: 'hearing' in reader.said(), reader)
         reader.send_signal(signal.SIGSTOP)
         leak, grown = node.leak(seconds)
         well, counters = survived(node)
@@ -93,12 +94,12 @@ def deaf_row(seconds):
 def lock_step_row(periods):
     """Run lock step with stamps out of order and two rivals; each period must have one answer."""
     with tempfile.TemporaryDirectory() as folder, ExitStack() as stack:
-        node = Node(folder, sync='wait', sync_period=0.01, sync_timeout=READY, duration=(
+        node = Node(folder, sync='wait', sync_period=0.01, sync_timeout=LONGEST, duration=(
             0.01 * periods), real_time_factor=0.0).ready()
         for name in ('controller', 'rival', 'rival'):
             stack.enter_context(attack(name))
         with suppress(subprocess.TimeoutExpired):
-            node.process.wait(READY + 0.1 * periods)
+            node.process.wait(LONGEST + 0.1 * periods)
         well = node.end() == 0
         log = Recording(node.log)
         answers = log.topics['~/joint_command']

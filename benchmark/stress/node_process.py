@@ -6,17 +6,14 @@
 from pathlib import Path
 import re
 import signal
-import subprocess
-import sys
 import time
 
 from diagnostic_msgs.msg import DiagnosticArray
 from mcap.reader import make_reader
 from rclpy.serialization import deserialize_message
 
-from benchmark.process import ENVIRONMENT, options, resident
+from benchmark.process import ENVIRONMENT, LONGEST, options, Process, resident, wait
 
-READY, END = 300.0, 300.0   # [s] that end a hang, on a busy machine, too
 PROGRAM = '-m', 'timo_sim.cli.sim_node'
 # A node that keeps something of each command.
 LEAKY = '-c', """
@@ -41,24 +38,14 @@ class Node:
     def __init__(self, folder, *arguments, environment=ENVIRONMENT, program=PROGRAM,
                  **parameters):
         self.folder, self.log = Path(folder), Path(folder) / 'run.mcap'
-        self._output = open(self.folder / 'output.txt', 'w+', encoding='utf-8')
-        self.process = subprocess.Popen(
-            [sys.executable, *program, '--ros-args', *arguments,
-             *options(record_file=self.log.name, **parameters)], cwd=folder, env=environment,
-            stdout=self._output, stderr=subprocess.STDOUT)
-
-    def output(self):
-        """Return what the node has said so far."""
-        self._output.flush()
-        return (self.folder / 'output.txt').read_text(errors='replace')
+        self.process = Process(
+            [*program, '--ros-args', *arguments,
+             *options(record_file=self.log.name, **parameters)], cwd=folder, env=environment)
+        self.output = self.process.said
 
     def ready(self, words='logging to'):
         """Wait until the node prints `words`, by default that it logs, or until it has ended."""
-        end = time.monotonic() + READY
-        while words not in self.output() and self.process.poll() is None:
-            if time.monotonic() > end:
-                raise TimeoutError(self.output())
-            time.sleep(0.05)
+        wait(lambda: words in self.output() or self.process.poll() is not None, self.process)
         return self
 
     def leak(self, seconds):
@@ -87,7 +74,7 @@ class Node:
         if self.process.poll() is None:
             self.process.send_signal(number)
         try:
-            return self.process.wait(END)
+            return self.process.wait(LONGEST)
         finally:
             if self.process.poll() is None:
                 self.process.kill()

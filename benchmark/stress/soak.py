@@ -26,7 +26,7 @@ from sensor_msgs.msg import JointState
 from std_msgs.msg import Float64
 
 from benchmark import ROOT
-from benchmark.process import ENVIRONMENT, resident
+from benchmark.process import ENVIRONMENT, resident, wait
 from benchmark.stress.node_process import growth, LEAK, Node, survived
 from timo_sim.runs.replay import replay
 
@@ -93,8 +93,7 @@ def soak(minutes, rows):
         node = Node(folder, '--params-file', str(ROOT / 'config' / 'paper.yaml'),
                     publish_clock=True).ready()
         visitor, lows, first = Visitor(), [], None
-        while not visitor.health:
-            time.sleep(0.1)
+        wait(lambda: visitor.health, node.process)
         begun = time.monotonic()
         print('| minute | memory [MB] | drift [ms] | dropped [s] | overruns | refused | '
               'commands | visits | states | log [MB] |', flush=True)
