@@ -67,6 +67,7 @@ _Place = ctypes.c_char * 0
 _Code = ctypes.CFUNCTYPE(ctypes.c_int64)  # arguments are ctypes objects, so that none is converted
 _NUMBERS: dict[Any, Any] = {int: ctypes.c_int64, float: ctypes.c_double}
 _SHORT = 2**16  # longest array that a Call keeps in memory [B]
+_NONE = object()  # is no argument
 
 
 class Call:
@@ -76,8 +77,8 @@ class Call:
                  constants: tuple[Packed, ...]) -> None:
         self._entry, self._code, self._wanted, self._constants = entry, code, wanted, constants
         self._places = [each.place for each in constants]
-        # Arguments of a call, and what they were passed as: the same need no check again.
-        self._last: tuple[list[Any], list[Any]] = [_Code] * len(wanted), [None] * len(wanted)
+        # Cache: arguments of the last call, and what passed them. The same object needs no check.
+        self._last: tuple[list[Any], list[Any]] = [_NONE] * len(wanted), [None] * len(wanted)
 
     def __reduce__(self):
         return self._entry.of, self._constants

@@ -165,8 +165,8 @@ def _optimise(module, machine):
     options = llvm.create_pipeline_tuning_options(speed_level=3)
     options.loop_vectorization = options.slp_vectorization = False
     builder = llvm.create_pass_builder(machine, options)
-    # Symbols become numbers in each function, so that work arrays have known lengths, before
-    # functions become parts of others.
+    # First sizes take the place of symbols, so that work arrays become stack slots of known
+    # length; then functions become parts of their callers.
     first = llvm.create_new_module_pass_manager()
     first.add_global_opt_pass()
     first.add_sroa_pass()

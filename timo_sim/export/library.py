@@ -101,7 +101,7 @@ class _Body:
         self.builder: Any = None
         self.offsets = [0, models[0].length]
         self.size = sum(model.length for model in models)
-        self._keys: dict[Any, int] = {}  # numbers of constants
+        self._keys: dict[Any, int] = {}  # numbers of constants; packed ones are keys themselves
 
     # Pieces of code.
 
@@ -124,7 +124,7 @@ class _Body:
 
     def data(self, *packed: Packed) -> Any:
         """Return the place of constants; several of one kind stand one after another."""
-        return self.content((*map(id, packed),), b''.join(
+        return self.content(packed, b''.join(
             bytes(each.memory[:each.length]) for each in packed), align=64)
 
     def text(self, value):

@@ -45,7 +45,7 @@ _KINDS: dict[str, list[type]] = {
     'arm': [modes.UniformArm], 'tables': [exact_code.Tables, newton.Tables],
     'flow': [functions.Flow], 'propagator': [*etdrk4.one_step.bodies],
     'bristles': [bristles.Bristles],
-    'lane': [lanes.LaneConstants],
+    'lane': [lanes.Lane], 'plan': [lanes.Plan],
     'loads': [loads.SceneLoads], 'actuators': [loads.Actuators], 'plant': [instance.Plant],
     'instance': [instance.Instance]}
 

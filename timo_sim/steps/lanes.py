@@ -25,15 +25,31 @@ from timo_sim.steps.etdrk4 import one_step, Work
 from timo_sim.steps.steps import matrices_of
 
 
-class LaneConstants(NamedTuple):
-    """What each lane has of its own besides the constants of its model and step."""
+class Lane(NamedTuple):
+    """What a run has of its own besides the constants of its model and step."""
 
+    tip_travel: Annotated[np.ndarray, 'modes']  # travel of the tip per modal coordinate
+    bend_limit: Annotated[np.ndarray, 1]        # deflection beyond which it diverges [m]
     # The part of its load that does not vary within a call, and room for the loads of a step.
     constant_load: Annotated[np.ndarray, LOADS]
     load: Annotated[np.ndarray, STEP_LOADS, LOADS]
-    tip_travel: Annotated[np.ndarray, 'modes']  # travel of the tip per modal coordinate
-    bend_limit: Annotated[np.ndarray, 1]        # deflection beyond which it diverges [m]
-    motion: Annotated[np.ndarray, 'motion']     # room for a motion
+    state: Annotated[np.ndarray, 'state']
+    friction: Annotated[np.ndarray, MEMORY]     # what steps hand on
+    progress: Annotated[np.ndarray, 2]          # whether it is alive, 1 or 0; steps done
+    motion: Annotated[np.ndarray, 'motion']     # at the end of the last call
+    tip: Annotated[np.ndarray, 3]               # what `model.functions.tip` returns of it
+
+
+class Plan(NamedTuple):
+    """What a call does with all lanes."""
+
+    groups: int
+    columns: int  # number of columns of loads that vary
+    steps: int
+    every: int    # steps between samples; 0: none are taken
+    since: int    # steps done since the first sample
+    samples: int  # of each group
+    tips: int
 
 
 class LaneSteps:
@@ -45,9 +61,8 @@ class LaneSteps:
     (n, 4, 5), are `Scene.bristles` of each. `alike` says that lanes with the same model may share
     its constants, so that none can be changed.
 
-    Arrays have the shape (groups, ..., WIDTH): `state`, m numbers; `progress`, whether a lane is
-    alive, 1 or 0, and how many steps it has done; `memory`, of friction; at the end of the last
-    call `motion`, 2 (3 + N), and `tip`, 3, what `model.functions.tip` returns.
+    `constant_load`, `state`, `memory`, `progress`, `motion` and `tip` are fields of `Lane`, arrays
+    of shape (groups, ..., WIDTH).
     """
 
     def __init__(self, models: list[Formulation], step: float, bend_limit: float,
@@ -69,23 +84,18 @@ class LaneSteps:
                 fields[0]._make(np.array(each) for each in zip(*fields)), motion=size,
                 state=linear.shape[-1])
             matrices = pack_lanes(matrices_of(linear, step))
-        lane_constants = pack_lanes(LaneConstants(
-            np.zeros((lanes, LOADS)), np.zeros((lanes, STEP_LOADS, LOADS)),
-            np.array([model.tip_travel[3:] for model in padded]),
-            np.array([[bend_limit * model.manipulator.arm.length] for model in padded]),
-            np.zeros((lanes, size))))
+        lane = pack_lanes(Lane(
+            tip_travel=np.array([model.tip_travel[3:] for model in padded]),
+            bend_limit=np.array([[bend_limit * model.manipulator.arm.length] for model in padded]),
+            constant_load=np.zeros((lanes, LOADS)), load=np.zeros((lanes, STEP_LOADS, LOADS)),
+            state=np.zeros((lanes, len(models[0].linear))), friction=np.zeros((lanes, MEMORY)),
+            progress=np.tile([1.0, 0.0], (lanes, 1)), motion=np.zeros((lanes, size)),
+            tip=np.zeros((lanes, 3))))
+        self.constant_load, self.state, self.memory = lane.constant_load, lane.state, lane.friction
+        self.progress, self.motion, self.tip = lane.progress, lane.motion, lane.tip
         packed = pack_lanes(Bristles._make(bristles_of(padded, step, bristles[rows])))
-        self.groups, self._entry = groups, entry
-        self._constants = tables, matrices, packed, lane_constants
-        self.memory = np.zeros((groups, MEMORY, WIDTH))
-        self.state = np.zeros((groups, len(models[0].linear), WIDTH))
-        self.progress, self.motion = np.ones((groups, 2, WIDTH)), np.zeros((groups, size, WIDTH))
-        self.tip, self.progress[:, 1] = np.zeros((groups, 3, WIDTH)), 0.0
-
-    @property
-    def constant_load(self) -> np.ndarray:
-        """What of loads does not vary within a call, (groups, LOADS, WIDTH)."""
-        return self._constants[3].constant_load
+        self.groups, self._entry, self._plan = groups, entry, pack(Plan(*7 * [0]))
+        self._constants = tables, matrices, packed, lane, self._plan
 
     @cached_property
     def _advance(self):
@@ -162,22 +172,23 @@ class LaneSteps:
                 view[lanes // WIDTH, ..., lanes % WIDTH] = values
 
     def _call(self, columns, varying, sample_every, since, samples, tips):
-        self._advance(columns, len(columns), varying.reshape(-1, WIDTH), varying.shape[1] - 1,
-                      self.memory, self.state, self.progress, self.motion, self.tip, self.groups,
-                      sample_every,
-                      since, samples.reshape(-1, *samples.shape[2:]), samples.shape[1],
-                      tips.reshape(-1, *tips.shape[2:]), tips.shape[1])
+        for view, number in zip(self._plan.views.values(), (
+                self.groups, len(columns), varying.shape[1] - 1, sample_every, since,
+                samples.shape[1], tips.shape[1])):
+            view[...] = number
+        self._advance(columns, varying.reshape(-1, WIDTH),
+                      samples.reshape(-1, *samples.shape[2:]), tips.reshape(-1, *tips.shape[2:]))
 
 
-def to_lanes(values: np.ndarray, numbers: np.ndarray | None = None) -> np.ndarray:
+def to_lanes(values: np.ndarray, rows: np.ndarray | None = None) -> np.ndarray:
     """
-    Return rows as lanes, (groups, ..., WIDTH); the last row fills the rest.
+    Transpose rows (n, ...) to lanes (groups, ..., WIDTH); the last row is repeated as padding.
 
-    `numbers`, (n,), are those of the rows to take, by default all in order.
+    `rows`, (n,), selects and orders them, by default all in order.
     """
-    numbers = np.arange(len(values)) if numbers is None else numbers
-    count = -(-len(numbers) // WIDTH)
-    rows = numbers[np.minimum(np.arange(count * WIDTH), len(numbers) - 1)]
+    rows = np.arange(len(values)) if rows is None else rows
+    count = -(-len(rows) // WIDTH)
+    rows = rows[np.minimum(np.arange(count * WIDTH), len(rows) - 1)]
     if len(rows) != len(values) or np.any(rows != np.arange(len(rows))):
         values = values[rows]
     values = values.reshape(count, WIDTH, *values.shape[1:])
@@ -199,85 +210,70 @@ def _set_load(lane, columns, count, varying, place, row):
 
 
 @inner
-def _advance(tables, propagator, bristles, lane, columns, count, varying, varying_from, steps,
-             memory, state, progress, end_motion, end_tip, sample_every, since, samples,
-             samples_from, tips, tips_from, tip_rows):
+def _advance(tables, propagator, bristles, lane, plan, columns, varying, samples, tips, group):
     """Integrate one group of lanes over equal steps, see `advance`."""
-    work = local_arrays(Work, propagator)
-    now, following = work.now, work.following
-    motion, load = local((lane.motion,)), lane.load
-    bent = local_arrays(Bent, bristles)
+    work, bent = local_arrays(Work, propagator), local_arrays(Bent, bristles)
+    now, following, motion, load = work.now, work.following, local((lane.motion,)), lane.load
+    state, travel, count = lane.state, lane.tip_travel, plan.columns
     for row in range(STEP_LOADS):
         copy(lane.constant_load, load[row])
-    modal = len(state) // 2 - len(lane.tip_travel)
-    alive, done = progress[0], progress[1]
+    modal = len(state) // 2 - len(travel)
+    alive, done = lane.progress[0], lane.progress[1]
     copy(state, now)
     k = 0
     while True:
-        place = varying_from + k * STEP_LOADS * count
+        place = (group * (1 + plan.steps) + k) * STEP_LOADS * count
         _set_load(lane, columns, count, varying, place + AFTER * count, AFTER)
-        sampled = sample_every > 0 and (since + k) % sample_every == 0
-        if sampled or k == steps or len(bristles.reach):
+        sampled = plan.every > 0 and (plan.since + k) % plan.every == 0
+        if sampled or k == plan.steps or len(bristles.reach):
             observe(tables, now, load[AFTER], motion)
-            start_bristles(tables, bristles, now, load[AFTER], motion, k > 0, bent, memory)
+            start_bristles(tables, bristles, now, load[AFTER], motion, k > 0, bent, lane.friction)
             if sampled:
-                copy(motion, samples[samples_from + (since + k) // sample_every])
-        if k == steps:
+                copy(motion, samples[group * plan.samples + (plan.since + k) // plan.every])
+        if k == plan.steps:
             break
         for row in range(STAGES):
             _set_load(lane, columns, count, varying, place + (STEP_LOADS + row) * count, row)
         one_step(propagator, tables, bristles, bent, load[START], load[MIDDLE], load[END], work)
-        if k < tip_rows:
-            for i in range(len(lane.tip_travel)):
+        if k < plan.tips:
+            for i in range(len(travel)):
                 motion[3 + i] = now[modal + i]
-            tip(tables, motion, end_tip)
-            copy(end_tip, tips[tips_from + k])
+            tip(tables, motion, lane.tip)
+            copy(lane.tip, tips[group * plan.tips + k])
         # 0 if all numbers are finite, else NaN: no branch is needed to find out.
         not_finite = 0.0
         bend = 0.0
         for i in range(len(now)):
             not_finite += 0.0 * following[i]
-        for i in range(len(lane.tip_travel)):
-            bend += lane.tip_travel[i] * magnitude(following[modal + i])
+        for i in range(len(travel)):
+            bend += travel[i] * magnitude(following[modal + i])
         alive = where((not_finite == 0.0) & (bend <= lane.bend_limit[0]), alive, 0.0)
         done += alive
         for i in range(len(now)):
             now[i] = where(alive > 0.0, following[i], now[i])
         k += 1
     copy(now, state)
-    copy(motion, end_motion)
-    tip(tables, motion, end_tip)
-    progress[0], progress[1] = alive, done
+    copy(motion, lane.motion)
+    tip(tables, motion, lane.tip)
+    lane.progress[0], lane.progress[1] = alive, done
 
 
-def advance(tables, propagator, bristles, lane, columns, count, varying, steps, memory, state,
-            progress, motion, end_tip, groups, sample_every, since, samples, sample_rows, tips,
-            tip_rows):
+def advance(tables, propagator, bristles, lane, plan, columns, varying, samples, tips):
     """
     Integrate groups of lanes over equal steps, see `LaneSteps.advance`.
 
     First axes of arrays are those of groups, merged with the next one where there is one, last
-    axes those of lanes. There are `count` columns, `steps` steps, and for each group `sample_rows`
-    samples and `tip_rows` tips.
+    axes those of lanes.
     """
-    for g in range(groups):
-        _advance(tables[g], propagator[g], bristles[g], lane[g], columns, count, varying,
-                 g * (1 + steps) * STEP_LOADS * count, steps, memory[g], state[g], progress[g],
-                 motion[g], end_tip[g], sample_every, since, samples, g * sample_rows, tips,
-                 g * tip_rows, tip_rows)
+    for g in range(plan.groups):
+        _advance(tables[g], propagator[g], bristles[g], lane[g], plan, columns, varying, samples,
+                 tips, g)
 
 
 # For lanes with the same packed constants, and for lanes each with its own.
 advance_alike, advance_each = (EntryPoint(advance, {
     'tables': Constants(form), 'propagator': Constants(form), 'bristles': Constants('lanes'),
-    'lane': Constants('lanes'), 'columns': Array((None,), whole=True, own=True), 'count': int,
-    'varying': Array((None,), lanes=True), 'steps': int,
-    'memory': Array((None, MEMORY), lanes=True, own=True),
-    'state': Array((None, 'state'), lanes=True, own=True),
-    'progress': Array((None, 2), lanes=True, own=True),
-    'motion': Array((None, 'motion'), lanes=True, own=True),
-    'end_tip': Array((None, 3), lanes=True, own=True), 'groups': int,
-    'sample_every': int, 'since': int,
-    'samples': Array((None, 'motion'), lanes=True), 'sample_rows': int,
-    'tips': Array((None, 3), lanes=True), 'tip_rows': int}, name)
+    'lane': Constants('lanes'), 'plan': Constants(),
+    'columns': Array((None,), whole=True, own=True), 'varying': Array((None,), lanes=True),
+    'samples': Array((None, 'motion'), lanes=True), 'tips': Array((None, 3), lanes=True)}, name)
     for name, form in (('advance_alike', 'shared'), ('advance_each', 'lanes')))
