@@ -309,8 +309,7 @@ def run_scene(scene: Scene, steps: int, sample_every: int = 1,
     simulator = Simulator(scene)
     simulator.warm_up(tell)
     motion = np.empty((steps // sample_every + 1, simulator.model.size))
-    motion[0], heat = simulator.motion.values, np.zeros(len(motion))
-    begun = time.monotonic()
+    heat, begun = np.zeros(len(motion)), time.monotonic()
 
     def run_until(step):
         samples = slice(step // sample_every + 1)
@@ -322,7 +321,7 @@ def run_scene(scene: Scene, steps: int, sample_every: int = 1,
                    friction_heat=heat[samples], warning=simulator.warning, stats=stats,
                    payloads=scene.payloads)
 
-    while simulator.steps < steps:
+    while True:
         first = simulator.steps
         count = min(max(1, _REPORTED // sample_every) * sample_every, steps - first)
         samples = slice(first // sample_every, (first + count) // sample_every + 1)
@@ -339,7 +338,8 @@ def run_scene(scene: Scene, steps: int, sample_every: int = 1,
             error.run = run_until(last)
             raise
         report(count)
-    return run_until(steps)
+        if simulator.steps == steps:
+            return run_until(steps)
 
 
 def _integral(t, power):

@@ -6,6 +6,7 @@
 from __future__ import annotations
 
 from collections.abc import Callable
+from contextlib import contextmanager
 from dataclasses import replace
 import sys
 from typing import NamedTuple
@@ -265,11 +266,9 @@ def simulate(scene: SceneLike, duration: float, sample_every: int = 1,
         least = -(-_LEAST_COMPARED * sample_every // max(1, steps))
         parts = next(k for k in range(min(least, sample_every), sample_every + 1)
                      if sample_every % k == 0)
-    from tqdm import tqdm  # a node, which chooses a resolution, needs no progress bar
-    with tqdm(total=steps, unit='step', unit_scale=True, delay=1.0, disable=None,
-              leave=False) as bar:
+    with _progress(steps) as report:
         try:
-            run = run_scene(scene, steps, sample_every // parts, bar.update, _say)
+            run = run_scene(scene, steps, sample_every // parts, report, _say)
         except DivergenceError as error:
             error.run = _thin(error.run, parts)
             raise
@@ -280,6 +279,16 @@ def simulate(scene: SceneLike, duration: float, sample_every: int = 1,
     if run.warning:
         warn(run.warning)
     return run
+
+
+@contextmanager
+def _progress(steps):
+    if not (sys.stderr and sys.stderr.isatty()):
+        yield lambda count: None
+        return
+    from tqdm import tqdm  # which takes longer to import than a short run
+    with tqdm(total=steps, unit='step', unit_scale=True, delay=1.0, leave=False) as bar:
+        yield bar.update
 
 
 def _say(text):

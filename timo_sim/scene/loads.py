@@ -10,7 +10,7 @@ computes what the steps see of them. A jump inside a step is refused.
 
 from bisect import bisect_left
 from collections.abc import Mapping, Sequence
-from dataclasses import dataclass
+from dataclasses import dataclass, replace
 from functools import lru_cache
 from typing import Any
 
@@ -114,6 +114,14 @@ class Load:
 
     def __bool__(self):
         return any(self.terms.values())
+
+    def on_boundaries(self, step: float) -> 'Load':
+        """Return the loads with times near the boundary of two steps [s] moved onto it."""
+        def moved(term):
+            return term if isinstance(term, Harmonic) or term is None else replace(
+                term, time=tuple(on_boundaries(term.time, step).tolist()))
+        return Load({channel: tuple(map(moved, terms)) for channel, terms in self.terms.items()},
+                    moved(self.drive))
 
     @property
     def columns(self) -> list[int]:

@@ -18,6 +18,7 @@ from dataclasses import replace
 from functools import partial
 from itertools import groupby
 import math
+from types import MappingProxyType
 from typing import Any, NamedTuple
 
 import numpy as np
@@ -27,8 +28,9 @@ from timo_sim.model.formulation import Formulation
 from timo_sim.model.layout import rotate
 from timo_sim.model.modes import axial_modes
 from timo_sim.scene.loads import on_boundaries
-from timo_sim.scene.parameters import checked, FLAG, FUNCTION, ParameterError, WHOLE
-from timo_sim.scene.scene import load_scene, Scene, scene_from, SceneLike
+from timo_sim.scene.parameters import (
+    checked, FLAG, FUNCTION, ParameterError, PARAMETERS, WHOLE)
+from timo_sim.scene.scene import load_scene, Scene, SceneLike
 from timo_sim.scene.static_shapes import (
     AXIAL_PHASE, MORE_MODES, needed_static, needed_static_of_finer)
 from timo_sim.simulation.simulator import Simulator
@@ -41,6 +43,7 @@ PARTS = 2, 8, 32  # of a step, from which those of the finer run are chosen
 _MODES_OF_IMPACT, _MOST_MODES = 4, 40 + MORE_MODES
 _MODES_OF_PUSH = 2  # a force within the arm makes a kink, whose error falls slowly, too
 _LISTS = 'initial.modal_coordinates', 'initial.modal_rates'
+_TIMES = [name for name in PARAMETERS if name.endswith('.time')]
 _MAX_PENDING_CALLS = 256  # most calls of `advance` that a finer run may be behind
 # A finer run advances by at least so many steps at a time: the call itself costs as much.
 STEPS_BEHIND = 8
@@ -91,12 +94,17 @@ def refine(scene: Scene, parts: int, modes: int | None = None, axial: int | None
                                   *axial * further]
     lists['arm.damping_of'] = 'clamped'
     # What counts as a boundary between two steps is one between two finer steps, too.
-    lists.update((name, tuple(on_boundaries(value, scene.step).tolist()))
-                 for name, value in values.items() if name.endswith('.time'))
-    equations = {} if same_equations else {'model.formulation': 'exact'}
-    found = scene_from({**values, **lists, **equations, 'model.accuracy': 0.0,
+    lists.update((name, tuple(on_boundaries(values[name], scene.step).tolist()))
+                 for name in _TIMES if values[name])
+    if not same_equations:
+        lists['model.formulation'] = 'exact'
+    # Bodies and constraints are the same, and checked.
+    found = replace(scene, load=scene.load.on_boundaries(scene.step), step=scene.step / parts,
+                    values=MappingProxyType({
+                        **values, **lists, 'model.accuracy': 0.0,
                         'model.modes': bending + modes, 'model.axial_modes': stretching + axial,
-                        'integrator.step': scene.step / parts}, static, keeps_axial)
+                        'integrator.step': scene.step / parts}),
+                    static=static, keeps_axial=keeps_axial)
     if any(any(given[bending:bending + own]) for given in initial.values()):
         # A static shape of the scene is a sum of modes and static shapes of the finer one.
         of, size = scene.build().modes, bending + modes + shapes
@@ -104,7 +112,7 @@ def refine(scene: Scene, parts: int, modes: int | None = None, axial: int | None
             fields = [partial(_field, each, np.array(given))
                       for each in (of.deflection, of.rotation)]
             lists[name][:size] = found.build().project_on_modes(*fields)[:size].tolist()
-        found = scene_from({**found.values, **lists}, static, keeps_axial)
+        found = replace(found, values=MappingProxyType({**found.values, **lists}))
     return found
 
 
@@ -117,8 +125,7 @@ def choose_parts(scene: Scene) -> tuple[int, ...]:
     # Events of dry friction and contacts of a gear are found to lower orders of the step; where a
     # table or drive bends inside of a step, errors of steps fall more slowly, too.
     inside = any(abs(time / scene.step - round(time / scene.step)) > 1e-6
-                 for name, times in scene.values.items() if name.endswith('.time')
-                 for time in times)
+                 for name in _TIMES for time in scene.values[name])
     events = scene.has_dry_friction or scene.values['motor.gear.backlash']
     tried = PARTS[1:] if inside or events else PARTS
     least = next((parts for parts in tried if _resolves(scene, scene.step / parts)), PARTS[-1])

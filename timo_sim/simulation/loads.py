@@ -12,7 +12,7 @@ from typing import Any, NamedTuple
 
 import numpy as np
 
-from timo_sim.compiled.constants import pack
+from timo_sim.compiled.constants import pack, Packed
 from timo_sim.model.formulation import Formulation
 from timo_sim.model.layout import INPUTS, LOADS, STEP_LOADS
 from timo_sim.model.statics import pick_up
@@ -91,17 +91,23 @@ class Actuators:
     moves to the goal on a straight line that begins at the step at which the goal changed, so that
     what acts in a step does not depend on how many steps are done at once. They act from step
     `first` on; `values` are the scene's parameters.
-
-    `packed` are the constants of the compiled functions, with the memory of the actuators, see
-    `steps.loads.Actuators`; `slow` are the columns of a load with a limit of their rate.
     """
 
     def __init__(self, values: Mapping[str, Any], first: int = 0) -> None:
-        limit, rate = np.array(limits_of(values))
-        self.packed = pack(steps_loads.Actuators(
-            step=values['integrator.step'], gain=motor_constants(values)[0], limit=limit,
-            rate=rate, goal=np.zeros(LOADS), origin=np.zeros(LOADS), since=np.array([first])))
-        self.slow, self._commanded = np.flatnonzero(np.isfinite(rate)), np.zeros(LOADS)
+        self._constants = values['integrator.step'], motor_constants(values)[0], limits_of(values)
+        self._first, self._commanded = first, np.zeros(LOADS)
+
+    @cached_property
+    def packed(self) -> Packed:
+        """The constants with the memory of the actuators, see `steps.loads.Actuators`."""
+        step, gain, (limit, rate) = self._constants
+        return pack(steps_loads.Actuators(step, gain, limit, rate, np.zeros(LOADS),
+                                          np.zeros(LOADS), np.array([self._first])))
+
+    @property
+    def slow(self) -> np.ndarray:
+        """Columns of a load with a limit of their rate."""
+        return np.flatnonzero(np.isfinite(self.packed.rate))
 
     def warm_up(self) -> None:
         """Compile, or load from disk, what loads and commands of all kinds need."""
