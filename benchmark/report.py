@@ -6,6 +6,7 @@
 import argparse
 import os
 import platform
+import time
 
 import numba
 import numpy as np
@@ -89,9 +90,10 @@ def make_page(spec, words, page, parts, quick=None, **facts):
     given = command.parse_args()
     short = quick is not None and given.quick
     for name in given.parts:
+        begun = time.monotonic()
         text = parts[name](short)
         text += '\n\n' + measured_on(**{fact.replace('_', ' '): value()
                                         for fact, value in facts.items()})
-        print(f'## {name}\n\n{text}\n', flush=True)
+        print(f'## {name}, in {time.monotonic() - begun:.0f} s\n\n{text}\n', flush=True)
         if not short:
             fill(page, name, text)

@@ -99,41 +99,47 @@ def _goals(run):
     return [f'{goal:g} m' for goal in run['goals_m']]
 
 
+# Of the solver, from a loaded scene, from the file.
+TIMES = 'seconds', 'whole_s', 'file_s'
 # Kinds of methods, by what they are called.
 RIVALS = {'the best engine': ['engine'], 'links by hand': ['links', 'links, our step']}
 
 
-def _best(run, *kinds):
+def _best(run, *kinds, key='seconds'):
     """Return the name and figures of the cheapest method of some kinds for each goal, or None."""
     cheapest = []
     for column in range(len(run['goals_m'])):
         found = [(name, each['best'][column]) for name, each in run['methods'].items()
                  if each['kind'] in kinds and each['best'][column]]
-        cheapest.append(min(found, key=lambda each: each[1]['seconds'], default=None))
+        cheapest.append(min(found, key=lambda each: each[1].get(key, 0.0), default=None))
     return cheapest
 
 
 def _ratio(above, below, key='seconds'):
-    return _two_digits(above[key] / below[key]) if above and below else '-'
+    known = above and below and key in above and key in below
+    return _two_digits(above[key] / below[key]) if known else '-'
 
 
 def _ratios(part):
     """Return rows of the times of the best of each rival kind over ours, in two runs."""
     rows = []
     for words, kinds in RIVALS.items():
-        before, now = ([[_ratio(other and other[1], own, key) for key in ('seconds', 'whole_s')]
-                        for other, own in zip(
-                            _best(run, *kinds), run['methods']['exact']['best'])]
-                       if run else 3 * [2 * ['no run']] for run in _measured(part))
-        rows.append((f'ratio to {words}: solver, end to end (in the run before)',
-                     *('**{}**, {} ({}, {})'.format(*each, *earlier)
+        before, now = (zip(*([_ratio(other and other[1], own, key) for other, own in zip(
+            _best(run, *kinds, key=key), run['methods']['exact']['best'])] for key in TIMES))
+            if run else 3 * [3 * ['no run']] for run in _measured(part))
+        rows.append((f'ratio to {words} (in the run before)',
+                     *('**{}**, {}, {} ({}, {}, {})'.format(*each, *earlier)
                        for each, earlier in zip(now, before))))
     return rows
 
 
 def _cell(found):
-    return (f'{_time(found["seconds"])}, {_time(found["whole_s"])}: {found["settings"]}'
-            if found else 'not reached')
+    if not found:
+        return 'not reached'
+    times = [found[key] for key in TIMES if key in found]
+    if times[1] == times[-1]:  # no file is loaded
+        del times[2:]
+    return f'{", ".join(map(_time, times))}: {found["settings"]}'
 
 
 def benchmark():

@@ -6,6 +6,8 @@
 from dataclasses import dataclass
 from functools import cached_property, lru_cache, partial
 import math
+from pathlib import Path
+from tempfile import TemporaryDirectory
 import time
 from typing import Any, Callable
 
@@ -18,6 +20,7 @@ from oracles import finite_elements, peers
 from oracles.references import CANTILEVER, read, spin_up, TORQUE
 import timo_sim
 from timo_sim.model import FORMULATIONS
+from timo_sim.scene.files import scene_text
 
 OWN, INTEGRATOR = 'timo_sim', 'integrator'  # kinds of methods
 ENGINE, LINKS = 'engine', 'links'           # those of others: from a library, or by hand
@@ -33,15 +36,25 @@ class Scene:
     """A scene with its reference."""
 
     name: str
-    source: Any         # for `load_scene`
+    source: Any         # for `load_scene`: a file, or values by dotted name
     duration: float     # [s]
     period: float       # of the reference [s]
     drive: tuple | None  # of the shaft: angle, speed, acceleration as functions of time
     goals: tuple = (1e-3, 1e-4, 1e-5)  # errors in the tip deflection to be reached [m]
 
     def load(self, values=None):
-        """Return the scene with values by dotted name."""
-        return timo_sim.load_scene(self.source, values)
+        """Return the scene of a file, with values by dotted name."""
+        return timo_sim.load_scene(self.file, values)
+
+    @cached_property
+    def file(self):
+        """The file of the scene."""
+        if isinstance(self.source, Path):
+            return self.source
+        self._folder = TemporaryDirectory()
+        path = Path(self._folder.name, 'scene.yaml')
+        path.write_text(scene_text(timo_sim.load_scene(self.source).values), encoding='utf-8')
+        return path
 
     @cached_property
     def arm(self):

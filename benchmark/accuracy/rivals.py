@@ -110,14 +110,24 @@ def chain_of(scene, count, gauss=True, matched=None, lumped=False):
     def chain(factors):
         return Links(scene, lengths, springs * (1.0 + legval(points, factors)), lumped)
 
-    if not matched:
-        return chain([0.0])
+    key = tuple(scene.values.items()), count, gauss, matched, lumped
+    if key not in _FACTORS:
+        _FACTORS[key] = _matching(scene, chain, matched) if matched else np.zeros(1)
+    return chain(_FACTORS[key])
+
+
+# Factors of springs by what `chain_of` is given: an engineer finds them once for an arm.
+_FACTORS: dict = {}
+
+
+def _matching(scene, chain, matched):
+    # The factors for which a function of them gives a chain with the arm's first frequencies.
     model = load_scene({**scene.values, 'model.formulation': 'exact', 'model.modes': 6}).build()
     found = np.sort(np.abs(np.linalg.eigvals(model.linear).imag))  # pairs, and 0 of free motion
     true = found[found > 1e-3][:2 * matched:2]
-    return chain(optimize.root(
+    return optimize.root(
         lambda factors: (chain(factors).frequencies()[:matched] / true)**2 - 1.0,
-        np.zeros(matched), tol=1e-12).x)
+        np.zeros(matched), tol=1e-12).x
 
 
 def longest_step(scene, count, gauss=True, axial_factor=None):

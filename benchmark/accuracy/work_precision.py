@@ -19,8 +19,6 @@ from importlib.metadata import version
 import itertools
 import json
 import os
-from pathlib import Path
-import shutil
 import subprocess
 import sys
 from tempfile import TemporaryDirectory
@@ -32,6 +30,7 @@ import numpy as np
 from benchmark import ROOT
 from benchmark.accuracy.cases import INTEGRATOR, Method, methods_of, OWN, Scene, SCENES
 from benchmark.figures.work_precision import draw, FOLDER
+from benchmark.process import install
 from benchmark.report import machine, parser
 from benchmark.timing import seconds
 from oracles import elastica
@@ -72,7 +71,8 @@ class Trial:
     step: float
     deflection: np.ndarray | None = None  # of the tip [m], None if the run failed
     solver: list = field(default_factory=list)  # CPU times [s]
-    whole: list = field(default_factory=list)   # of all that a user waits for [s]
+    whole: list = field(default_factory=list)   # of all that follows a loaded scene [s]
+    file: list = field(default_factory=list)    # the same and, for our code, loading its file [s]
 
     @property
     def settings(self):
@@ -99,12 +99,15 @@ class Trial:
 
     def repeat(self):
         """Run once more, and do what a user would."""
-        whole = self.run()
+        loading, whole = 0.0, self.run()
         if self.method.simulate:
-            checked, begun = self.load(), time.process_time()
+            begun = time.process_time()
+            checked = self.load()
+            loading = time.process_time() - begun
             self.method.simulate(self.scene, checked, self.size, self.step)
-            whole = time.process_time() - begun
+            whole = time.process_time() - begun - loading
         self.whole.append(whole)
+        self.file.append(whole + loading)
 
 
 class Search:
@@ -205,7 +208,8 @@ class Search:
         trials = [self.trials[index] for index in entry]
         return {'settings': ' and '.join(trial.settings for trial in trials),
                 'error_m': self.errors[entry], 'seconds': self.seconds(entry),
-                'whole_s': sum(min(trial.whole) for trial in trials)}
+                'whole_s': sum(min(trial.whole) for trial in trials),
+                'file_s': sum(min(trial.file) for trial in trials)}
 
 
 def measure(scene, quick):
@@ -247,11 +251,7 @@ def cold_starts(quick):
     """Return the least wall times of new processes, without and with compiled code on disk."""
     result = {}
     with TemporaryDirectory() as folder:
-        # As pip installs it, with intermediate code and byte code.
-        shutil.copytree(ROOT / 'timo_sim', Path(folder, 'timo_sim'))
-        subprocess.run([sys.executable, '-m', 'timo_sim.export.prebuilt',
-                        Path(folder, 'timo_sim', 'compiled', 'prebuilt')], check=True, cwd=ROOT)
-        subprocess.run([sys.executable, '-m', 'compileall', '-q', folder], check=True)
+        install(folder)
         for name, code in COLD.items():
             found = []
             while len(found) < (1 if quick else COLD_STARTS) and not (

@@ -8,13 +8,14 @@ Measures all speed targets: step, run, memory, node, start, learning, sweep.
 prints the same in a few minutes; `--parts Learning` measures one part anew.
 """
 
-from benchmark.report import make_page, targets
-from benchmark.speed import many, node, step
+from benchmark.report import make_page, table, targets
+from benchmark.speed import many, node, result, step
 from benchmark.timing import product
 
 PARTS = {
     'Step and run': lambda quick: targets(step.rows()),
-    'Around a run': lambda quick: targets(step.around(quick)),
+    'From a file to a result': lambda quick: table(
+        ['', 'processor time', 'remark'], result.rows(quick)),
     'Many at once': lambda quick: targets(many.batches(quick)),
     'Learning': lambda quick: targets(many.learning(quick)),
     'Memory': lambda quick: targets(node.memory(quick)),

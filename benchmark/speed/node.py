@@ -22,8 +22,7 @@ import time
 
 import numpy as np
 
-from benchmark import ROOT
-from benchmark.process import arguments, ENVIRONMENT, RATES, resident, running, wait
+from benchmark.process import arguments, ENVIRONMENT, install, RATES, resident, running, wait
 from oracles.domains import own_domain
 
 START_UP, SETTLE = 4.0, 0.5   # [s]
@@ -133,7 +132,7 @@ def cpu_rows(turns, seconds):
            f'{costs(peers)}; a bare node sends constants: commands, steps and numbers come to it')
     yield ('the same with its error, measured by a finer run', '',
            f'{ratio(node.cpu, bare.cpu):.2f}', None,
-           'the finer run takes four to seven times as long as the steps')
+           'see [what a finer run costs](scene.md#estimated-error-and-warnings)')
     yield ('CPU over an rclpy timer in a SingleThreadedExecutor', '< 1',
            f'{over_timer:.2f}', over_timer < 1.0, '')
     between = {name: np.concatenate([np.diff(ticks[:, 0]) for ticks in peer.ticks])
@@ -206,23 +205,20 @@ def start_rows(times):
     """
     Measure from the start of the process to the first tick, just after the first message.
 
-    Home and store of machine code are empty at the first start. The package is a copy, as a clone
-    on PYTHONPATH and, with the machine code that `make sim` adds to it, as a user has it.
+    Home and store of machine code are empty at the first start. The package is a copy, with the
+    machine code that `make sim` adds to it, as a user has it; then without, as in a clone.
     """
     with tempfile.TemporaryDirectory() as folder:
-        package, taken = Path(folder, 'timo_sim'), {}
-        shutil.copytree(ROOT / 'timo_sim', package, ignore=shutil.ignore_patterns('prebuilt'))
-        for name in 'clone', 'installed':
+        install(folder, 'editable')
+        taken = {}
+        for name in 'installed', 'clone':
             home = Path(folder, name)
             home.mkdir()
             environment = {
                 **ENVIRONMENT, 'HOME': str(home), 'NUMBA_CACHE_DIR': str(home),
                 'PYTHONPATH': os.pathsep.join([folder, ENVIRONMENT['PYTHONPATH']])}
-            if name == 'installed':
-                with running(['-m', 'timo_sim.export.prebuilt',
-                              str(package / 'compiled' / 'prebuilt'), 'editable'],
-                             env=environment, cwd=folder) as build:
-                    build.finish()
+            if name == 'clone':
+                shutil.rmtree(Path(folder, 'timo_sim', 'compiled', 'prebuilt'))
             taken[name] = []
             for _ in range(1 + times * (name == 'installed')):
                 begin, ticks, _ = finished(*arguments(duration=0.01), environment=environment)

@@ -5,11 +5,9 @@
 
 import ctypes
 import itertools
-import os
 from pathlib import Path
 import shutil
 import subprocess
-import sys
 import tempfile
 from xml.etree import ElementTree
 import zipfile
@@ -35,27 +33,6 @@ from timo_sim.steps.steps import matrices_of, Steps
 PAPER = ROOT / 'config' / 'paper.yaml'
 STEPS = 1000  # of 10 ms
 TARGETS = [('exact', 3, 1.5e-6), ('exact', 5, 2.5e-6), ('exact', 10, 8e-6), ('newton', 3, 0.6e-6)]
-BLOCK = 40  # variations or runs that are timed together
-# A first run, then one of another size: prints its time, and how much of it LLVM takes.
-FIRST = """
-import time
-import timo_sim
-from timo_sim.compiled import machine, store
-
-store.PREBUILT /= 'none'  # what the installation has compiled
-
-def timed(*arguments):
-    begun = time.perf_counter()
-    result = compiled(*arguments)
-    spans.append(time.perf_counter() - begun)
-    return result
-
-compiled, machine.object_code = machine.object_code, timed
-for modes in 3, 4:
-    spans, begun = [], time.perf_counter()
-    timo_sim.simulate(timo_sim.load_scene('paper', {'model.modes': modes}), 0.01, estimate=False)
-print(time.perf_counter() - begun, sum(spans))
-"""
 
 
 def paper(**overrides):
@@ -113,20 +90,7 @@ def rows():
     compiled = timed(lambda: prepared.run(every=1), units=1)
     return [*found, exported(), in_an_fmu(), differentiated(), (
         '10 s of the paper, 10 ms, every step sampled', '2 ms', compiled.shown(1e-3, 'ms'),
-        compiled.middle <= 2e-3, 'the compiled part'), compared(3, 0.02), compared(5, 0.005)]
-
-
-def compared(modes, step):
-    """Return the row of a run with its error, beside one without."""
-    scene = paper(modes=modes).vary({'integrator.step': step})
-    found, alone = timed(lambda: timo_sim.simulate(scene, 10.0),
-                         lambda: timo_sim.simulate(scene, 10.0, estimate=False), units=1)
-    ratio = (found.middle - alone.middle) / alone.middle
-    short = modes == 3  # with a target of its own
-    return (f'`simulate`, 10 s of the paper, N = {modes}, {1e3 * step:g} ms, with its error by a '
-            'finer run', '4 ms, 5 runs' if short else '5 runs', found.shown(1e-3, 'ms'),
-            ratio <= 5.0 and (found.middle <= 4e-3 or not short),
-            f'the comparison takes as long as {ratio:.1f} runs')
+        compiled.middle <= 2e-3, 'the compiled part')]
 
 
 def exported():
@@ -207,40 +171,6 @@ def differentiated():
             found.shown(), ratio <= 10.0, f'as long as {ratio:.1f} steps')
 
 
-def around(quick):
-    """Return rows of what surrounds the steps: set-up, result and the first compilation."""
-    scene, random, rounds = paper(), np.random.default_rng(1), 5 if quick else 25
-
-    def vary(values):
-        return timed(lambda: [scene.vary(values()) for _ in range(BLOCK)], units=BLOCK,
-                     rounds=rounds)
-
-    loads = vary(lambda: {'load.torque.harmonic.amplitude': [random.uniform(1.0, 8.0)],
-                          'initial.shaft_velocity': random.uniform(1.0, 8.0)})
-    masses = vary(lambda: {'end_effector.mass': random.uniform(0.5, 5.0)})
-    prepared = Prepared(scene)
-    steps, whole = timed(lambda: [prepared.run(every=1) for _ in range(BLOCK)],
-                         lambda: [timo_sim.simulate(scene, 10.0, estimate=False)
-                                  for _ in range(BLOCK)], units=BLOCK, rounds=rounds)
-    own, least = whole.middle - steps.middle, whole.least - steps.least
-    with tempfile.TemporaryDirectory() as folder:
-        output = subprocess.run(
-            [sys.executable, '-c', FIRST], check=True, text=True, stdout=subprocess.PIPE,
-            stderr=subprocess.DEVNULL, env={**os.environ, 'NUMBA_CACHE_DIR': folder}).stdout
-    further, llvm = map(float, output.split())
-    return [
-        ('set-up of a run that differs in loads and initial motion', '0.1 ms',
-         loads.shown(1e-3, 'ms'), loads.middle <= 0.1e-3, '`Scene.vary`'),
-        ('set-up of a run that differs in masses', '0.5 ms is withdrawn',
-         masses.shown(1e-3, 'ms'), None, '`Scene.vary`; modes, two fifths of it, tables '
-         'and checks are made anew for each body, and no part stands out'),
-        ('`simulate` of a checked scene, beside its steps', '0.3 ms',
-         f'{1e3 * own:.2f} ms (min {1e3 * least:.2f})', own <= 0.3e-3,
-         '10 s at 10 ms, every step sampled: simulator, loads, samples and the Run'),
-        ('first run of a size', '5 s', f'{further:.1f} s', further <= 5.0,
-         f'N = 4, with no machine code of it: LLVM takes {llvm:.1f} s')]
-
-
 def exponent(x, y):
     """Return the slope of a straight line through the logarithms."""
     return f'{np.polyfit(np.log(x), np.log(y), 1)[0]:.2f}'
@@ -248,9 +178,9 @@ def exponent(x, y):
 
 def curves(quick):
     """Return a table of exponents of the cost over N, n_g and the length of a run; draw it."""
-    modes = np.array([1, 3, 10, 14] if quick else [1, 2, 3, 4, 5, 6, 8, 10, 14, 20, 28, 40])
-    over_modes = np.array([Prepared(paper(modes=int(n)), 200).time_of_step().least
-                           for n in modes])
+    modes = np.array([1, 3, 10, 14] if quick else [*range(1, 9), 10, 14, 20, 28, 40])
+    runs = [Prepared(paper(modes=int(n)), 200) for n in modes]
+    over_modes = np.array([run.time_of_step().least for run in runs])
     nodes = np.array([6, 16] if quick else [6, 8, 12, 16, 24, 32, 48])
     over_nodes = np.array([Prepared(paper(), 200, int(g)).time_of_step().least for g in nodes])
     horizons = np.array([1, 10, 100] if quick else [1, 3, 10, 30, 100, 300, 1000, 3000])
@@ -261,7 +191,10 @@ def curves(quick):
               (nodes, 1e6 * over_nodes, 'quadrature nodes, N = 3', 'least time of a step [us]'),
               (horizons, over_horizon, 'sim time [s], h = 10 ms', 'time of a run [s]'))
     few, many, half = modes <= 5, modes >= 10, len(nodes) // 2
-    return '![Cost](speed/cost.png)\n\n' + table(['', 'exponent', 'why'], [
+    plain = table(['N', 'nodes', 'least time of a step'], [
+        (n, len(run.model.quadrature.nodes), f'{1e6 * time:.2f} us')
+        for n, run, time in zip(modes, runs, over_modes) if n <= 10])
+    exponents = table(['', 'exponent', 'why'], [
         ('modes, N <= 5', exponent(modes[few], over_modes[few]),
          'latency: a step is a chain of four rates, each one of sines, a kernel, a factorisation'),
         ('modes, N >= 10', exponent(modes[many], over_modes[many]),
@@ -271,6 +204,7 @@ def curves(quick):
          'the kernel takes n_g^2 for each mode, everything else n_g'),
         ('sim time', exponent(horizons[-3:], over_horizon[-3:]),
          'every step costs the same; samples are streamed in blocks')])
+    return f'![Cost](speed/cost.png)\n\n{plain}\n\n{exponents}'
 
 
 def _draw(*panels):
