@@ -11,6 +11,7 @@ from typing import Any
 
 import numpy as np
 from numpy.typing import ArrayLike
+from scipy.linalg.lapack import dgeqrf
 
 from timo_sim.model.differences import differences
 from timo_sim.model.formulation import PointsOfArm
@@ -22,7 +23,7 @@ from timo_sim.scene.scene import load_scene, SceneLike
 from timo_sim.simulation.derivatives import unit_loads
 from timo_sim.simulation.loads import ARGUMENTS, check_arguments
 from timo_sim.simulation.simulator import Simulator, Stateful
-from timo_sim.simulation.snapshot import Joints, variance
+from timo_sim.simulation.snapshot import joints_of_run, variance
 from timo_sim.simulation.warnings import DivergenceError
 from timo_sim.topics.outputs import SENSORS
 
@@ -104,6 +105,9 @@ class Observer(Stateful, PointsOfArm):
         self.sensors = tuple(noisy if sensors is None else sensors)
         for name in self.sensors:
             replace(_NAME, name='sensors').check(name)
+        # Of what is measured.
+        self._name = replace(_NAME, name='measured', choices=self.sensors)
+        self._rules = {name: replace(_READING, name=f'measured {name}') for name in self.sensors}
         if not self.sensors or not {*self.sensors} <= {*noisy}:
             raise ParameterError(
                 'an observer needs sensors whose sensor.NAME.noise or .resolution is > 0, here '
@@ -117,7 +121,9 @@ class Observer(Stateful, PointsOfArm):
         columns = [np.ravel(ARGUMENTS[name]) for name in pairs]
         self._inputs, self._unit = [*pairs], unit_loads(scene.values, pairs)
         self._deviations, self._times = np.repeat([*pairs.values()], [*map(len, columns)], 0).T
-        self._places, self._steps = model.free_places, difference_steps(model)
+        self._places = model.free_places
+        # Of differences; loads act linearly.
+        self._steps = np.append(difference_steps(model)[self._places], np.ones(len(self._times)))
         self.states = (*state_names(model), *(
             f'disturbance_{INPUTS[column].column}' for column in np.concatenate(columns)))
         # A factor of the covariance.
@@ -170,7 +176,8 @@ class Observer(Stateful, PointsOfArm):
     def expected(self, sensor: str) -> np.ndarray:
         """Return what any sensor of the arm should show now, without noise, shape (axes,)."""
         replace(_NAME, name='expected').check(sensor)
-        return self._readings([sensor], np.zeros((1, self.model.size + len(self.disturbance))))[0]
+        return self._readings([sensor], self.motion.values[np.newaxis],
+                              self.disturbance[np.newaxis])[0]
 
     @checked(measured=MAPPING, command=MAPPING)
     def update(self, measured: Mapping[str, Any], command: Mapping[str, Any] | None = None,
@@ -199,21 +206,31 @@ class Observer(Stateful, PointsOfArm):
         shown = {name: self._checked(name, value) for name, value in measured.items()}
         step = self.simulator.scene.step
         dt = step if dt is None else _DT.check(dt)
+        change = None  # of the estimated motion, which is set once: that takes longest
         if whole_ratio('dt', dt, 'integrator.step', step):
-            self._predict(dt, command or {})
-        if shown:
-            self._correct(shown)
+            change = self._predict(dt, command or {})
+        if shown or change is not None:
+            motion = self.motion.values
+            if change is not None:
+                motion[self._places] += change
+            if shown:
+                motion[self._places] += self._correct(shown, motion)
+            if not np.isfinite(motion).all():
+                raise DivergenceError(
+                    f'the estimate is not finite at t = {self.simulator.t:g} s')
+            self.simulator.set_motion(motion)
         return self.motion
 
     def _checked(self, name, value):
-        replace(_NAME, name='measured', choices=self.sensors).check(name)
-        numbers = np.array(replace(_READING, name=f'measured {name}').check(value))
-        if len(numbers) != len(_SENSORS[name].columns):
-            raise ParameterError(f'measured {name} must have {len(_SENSORS[name].columns)} '
-                                 f'number(s), got {short(value)}')
+        self._name.check(name)
+        rule, count = self._rules[name], len(_SENSORS[name].columns)
+        numbers = np.array(rule.check(value))
+        if len(numbers) != count:
+            raise ParameterError(f'{rule.name} must have {count} number(s), got {short(value)}')
         return numbers
 
     def _predict(self, dt, command):
+        """Go on by a time; return the change of free coordinates by disturbances, (m - k,)."""
         found = self.simulator.step_derivatives(self._inputs, duration=dt, **command)
         with np.errstate(divide='ignore'):  # a time of 0 means another value in each update
             fade = np.exp(-dt / self._times)
@@ -225,18 +242,18 @@ class Observer(Stateful, PointsOfArm):
         root[:-count] += found.by_motion[np.ix_(places, places)] @ self._root[:-count]
         noise = by_input * self._deviations * np.sqrt(1.0 - fade**2)
         self._root = _lower(np.hstack([root, noise]))
-        self._shift(change)
+        self.disturbance = self.disturbance + change[-count:]
+        return change[:-count]
 
-    def _correct(self, shown):
-        count, size = len(self.disturbance), len(self.states)
-        numbers = np.append(self._places, self.model.size + np.arange(count))
+    def _correct(self, shown, motion):
+        """Take what was measured in a motion; return the change of free coordinates, (m - k,)."""
+        known, size = len(self._places), len(self.states)
 
         def moved(shifts):
-            found = np.zeros((len(shifts), self.model.size + count))
-            found[:, numbers] = shifts
-            return self._readings(shown, found)
-        # Loads act linearly.
-        expected, slope = differences(moved, np.append(self._steps, np.ones(count))[numbers])
+            motions = np.tile(motion, (len(shifts), 1))
+            motions[:, self._places] += shifts[:, :known]
+            return self._readings(shown, motions, self.disturbance + shifts[:, known:])
+        expected, slope, _ = differences(moved, self._steps)
         noise = np.concatenate([np.full(len(values), np.sqrt(variance(self._values, name)))
                                 for name, values in shown.items()])
         # A factor of the joint covariance of readings and states (T58).
@@ -246,7 +263,8 @@ class Observer(Stateful, PointsOfArm):
         own, gain, self._root = (root[:len(noise), :len(noise)], root[len(noise):, :len(noise)],
                                  root[len(noise):, len(noise):])
         self.normalised_innovation = np.linalg.solve(own, self.innovation)
-        self._shift(gain @ self.normalised_innovation)
+        change = gain @ self.normalised_innovation
+        self.disturbance = self.disturbance + change[known:]
         for number in self.normalised_innovation:
             self._square += (min(number**2, _OUTLIER**2) - self._square) / _MEMORY
         if self.consistency > _INCONSISTENT and not self.warning:
@@ -255,32 +273,24 @@ class Observer(Stateful, PointsOfArm):
                 'observer expects as its covariance says: the model, the noise of its sensors or '
                 'the disturbance do not fit')
             warn(self.warning)
+        return change[:known]
 
-    def _readings(self, names, shifts):
-        # What sensors should show with shifted motions and disturbances, (n, size + k): (n, y).
-        model, size = self.model, self.model.size
-        motions = self.motion.values + shifts[:, :size]
-        acting = self.simulator.integration.acting(self.simulator.load)
-        loads = acting + (self.disturbance + shifts[:, size:]) @ self._unit
-        found = model.accelerations(motions, model.state(motions), loads)
-        joints = Joints(model, motions, found[0], loads, found[1])
-        return np.hstack([
-            _SENSORS[name].of_joints(joints) + self._values[f'sensor.{name}.bias']
-            for name in names])
-
-    def _shift(self, change):
-        # Change the estimated states.
-        motion, known = self.motion.values, len(self._places)
-        motion[self._places] += change[:known]
-        self.disturbance = self.disturbance + change[known:]
-        if not np.isfinite(motion).all():
-            raise DivergenceError(f'the estimate is not finite at t = {self.simulator.t:g} s')
-        self.simulator.set_motion(motion)
+    def _readings(self, names, motions, disturbances):
+        """Return what sensors should show in motions with disturbances, (n, size), (n, k)."""
+        model, sensors = self.model, [_SENSORS[name] for name in names]
+        if all(sensor.of_motion for sensor in sensors):
+            shown = [sensor.of_motion(model, motions)[:, np.newaxis] for sensor in sensors]
+        else:
+            acting = self.simulator.integration.acting(self.simulator.load)
+            joints = joints_of_run(model, motions, acting + disturbances @ self._unit)
+            shown = [sensor.of_joints(joints) for sensor in sensors]
+        return np.hstack([each + self._values[f'sensor.{name}.bias']
+                          for name, each in zip(names, shown)])
 
 
 def _lower(root):
     # The lower triangular factor, (m, m), of the covariance of which (m, n) is a factor.
-    return np.transpose(np.linalg.qr(root.T, mode='r'))
+    return np.tril(dgeqrf(root.T)[0][:len(root)].T)
 
 
 def _first_frequency(model):
