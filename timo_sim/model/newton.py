@@ -76,7 +76,7 @@ class Newton(Formulation):
     """The `newton` formulation, see the module's text."""
 
     @staticmethod
-    def node_count(count: int) -> int:
+    def node_count(count: int, shapes: bool = False) -> int:
         """Return the number of quadrature nodes; they are many, since no step evaluates them."""
         return 4 * count + 40
 
