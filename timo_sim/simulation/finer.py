@@ -38,6 +38,7 @@ from timo_sim.simulation.warnings import (
     DivergenceError, inaccurate, more_axial, MOST_APART, NO_FINER_RUN, unseen_load)
 
 _STRETCHES = 3  # they answer centrifugal forces, an acceleration, a force on the tip
+_BEGUN = 0.1  # share of the distance that a warning needs, at which remedies are judged
 PARTS = 2, 8, 32  # of a step, from which those of the finer run are chosen
 # A pick-up excites all modes, and the error falls only as 1/N: there are more of them.
 _MODES_OF_IMPACT, _MOST_MODES = 4, 40 + MORE_MODES
@@ -156,11 +157,16 @@ def tip_distances(model: Formulation, motions: np.ndarray, other: Formulation,
     Their motions have shapes (n, 2 (3 + N)) and (n, 2 (3 + M)) and are at the same times. The
     second distance is that of the deflections: the shaft's error is in it, too.
     """
+    world, arm = _distances(model, motions, other, others).max(axis=1, initial=0.0).tolist()
+    return world, arm
+
+
+def _distances(model, motions, other, others):
+    # Of both kinds, at each time, (2, n).
     tips = model.tips(motions)[:, :2].T, other.tips(others)[:, :2].T
     places = [np.array(each[:, :2].T + rotate(each[:, 2], *tip))
               for each, tip in zip((motions, others), tips)]
-    world, arm = (float(np.hypot(*(a - b)).max(initial=0.0)) for a, b in (places, tips))
-    return world, arm
+    return np.array([np.hypot(*(a - b)) for a, b in (places, tips)])
 
 
 class Motions(NamedTuple):
@@ -180,8 +186,21 @@ class Motions(NamedTuple):
             return None
 
     def distances(self, other: 'Motions') -> tuple[float, float]:
-        """Return the largest distances between the tips of both, see `tip_distances`."""
-        return tip_distances(self.scene.build(), self.values, other.scene.build(), other.values)
+        """
+        Return the largest distances between the tips of both, see `tip_distances`.
+
+        The other one may be longer.
+        """
+        return tip_distances(self.scene.build(), self.values, other.scene.build(),
+                             other.values[:len(self.values)])
+
+    def until_apart(self, other: 'Motions', limit: float) -> 'Motions':
+        """Return the part until the tips are so far apart [m], or all."""
+        far = (_distances(self.scene.build(), self.values, other.scene.build(), other.values)
+               > limit).any(axis=0)
+        samples = len(self.values) - 1
+        count = max(1, int(np.argmax(far))) if far.any() else samples
+        return self._replace(values=self.values[:1 + count], steps=self.steps // samples * count)
 
 
 def measure(run: Motions, warning: str | None,
@@ -191,25 +210,29 @@ def measure(run: Motions, warning: str | None,
 
     If a finer run diverges or is far off, others with shorter steps are tried; errors are NaN if
     all diverge. `warning` is that of the run so far. With `find_remedy` the warning of a large
-    error names what moves the tip most, by up to three more runs, otherwise all remedies.
+    error names what moves the tip most, by up to four more runs, otherwise all remedies. What
+    comes after the first finer run is judged by the part of the run until the error is a tenth
+    of that which a warning needs, so that it costs little.
     """
     scene = run.scene
-    finer = (run.alike(refine(scene, parts)) for parts in choose_parts(scene))
-    fine = next((each for each in finer if each is not None), None)
+    scenes = (refine(scene, parts) for parts in choose_parts(scene))
+    fine = next((each for each in map(run.alike, scenes) if each is not None), None)
     if fine is None:
         return (math.nan, math.nan), warning or NO_FINER_RUN
     errors, limit = run.distances(fine), MOST_APART * scene.manipulator.arm.length
-    while errors[0] > limit and (shorter := next(finer, None)):
+    part = run.until_apart(fine, _BEGUN * limit) if max(errors) > limit else run
+    while errors[0] > limit and (shorter := next(scenes, None)):
         # If shorter steps of the finer run mend most of the distance, it was not that of the run.
-        distances = run.distances(shorter)
-        if distances[0] > 0.5 * errors[0]:
+        begun = part.alike(shorter)
+        if begun is None or part.distances(begun)[0] > 0.5 * part.distances(fine)[0] or (
+                found := run.alike(shorter)) is None:
             break
-        fine, errors = shorter, distances
+        fine, errors = found, run.distances(found)
     # In `exact` the finer run shows already what loads that are too fast for the steps do: its own
     # warning counts. In `newton` both runs may stay on a motion that is unstable in truth.
     earlier = (unseen_load(fine.scene) if scene.values['model.formulation'] == 'exact'
                else warning)
-    remedy = (_remedy(run, round(scene.step / fine.scene.step), errors)
+    remedy = (_remedy(part, round(scene.step / fine.scene.step), part.distances(fine))
               if find_remedy and max(errors) > limit else None)
     return errors, earlier or inaccurate(scene, errors[0], errors[1], remedy)
 
@@ -222,7 +245,7 @@ def _remedy(run, parts, errors):
     else the one that moves it most; it is '' if none moves it by a tenth. Axial modes move it,
     too, if the steps do not resolve them: they are last.
     """
-    scene = run.scene
+    scene, limit = run.scene, _BEGUN * MOST_APART * run.scene.manipulator.arm.length
     changes = {'a smaller integrator.step': (parts, 0, 0, True),
                'more model.modes': (1, None, 0, True)}
     if not {*needed_static(scene.manipulator, scene.values['model.modes'])} <= {*scene.static}:
@@ -233,7 +256,7 @@ def _remedy(run, parts, errors):
         changes[more_axial(scene)] = 1, 0, 1, True
     elif not exact:
         changes['model.formulation exact'] = 1, 0, 0, False
-    moved, place = {}, errors[0] <= MOST_APART * scene.manipulator.arm.length
+    moved, place = {}, errors[0] <= limit
     for text, change in changes.items():
         other = run.alike(refine(scene, *change))
         moved[text] = 0.0 if other is None else run.distances(other)[place]
