@@ -34,7 +34,7 @@ import numpy as np
 import zstandard
 
 from timo_sim.log.write import (
-    CHANGE, Chunk, CHUNK_SIZE, HEAD, MESSAGE, MESSAGE_OPCODE, numbered, printable,
+    CHANGE, Chunk, HEAD, MESSAGE, MESSAGE_OPCODE, numbered, printable,
     RESET, START, SUMMARY, sync, Writer)
 from timo_sim.scene.files import whole_file
 
@@ -185,10 +185,9 @@ class Messages(NamedTuple):
     heads: np.ndarray  # (n,), their `channel`, `sequence`, `log_time` and `publish_time` [ns]
     ends: np.ndarray   # (n,), where they end in `data`
 
-    def of(self, channel: int) -> Messages | None:
-        """Return those of a channel, None if there are none."""
-        own = np.flatnonzero(self.heads['channel'] == channel)
-        return self._replace(heads=self.heads[own], ends=self.ends[own]) if len(own) else None
+    def those(self, which: np.ndarray) -> Messages:
+        """Return those where `which`, (n,) bool, is true."""
+        return self._replace(heads=self.heads[which], ends=self.ends[which])
 
     @property
     def sizes(self) -> np.ndarray:
@@ -205,6 +204,18 @@ class Messages(NamedTuple):
         size = int(self.sizes[0])
         places = len(self.data) - size + 1
         return np.ndarray((places, size), np.uint8, self.data, strides=(1, 1))[self.ends - size]
+
+    def chunk(self) -> Chunk:
+        """Return them as a chunk of a log."""
+        lengths = HEAD.size + self.heads['length'].astype(np.int64)
+        chunk, starts = Chunk(), self.ends - lengths
+        for part in map(slice, starts.tolist(), self.ends.tolist()):
+            chunk.data += self.data[part]
+        index = np.column_stack([self.heads['log_time'].astype(np.int64),
+                                 np.cumsum(lengths) - lengths])
+        for channel in np.unique(self.heads['channel']).tolist():
+            chunk.index[channel] = index[self.heads['channel'] == channel].ravel().tolist()
+        return chunk
 
 
 class LogFile:
@@ -260,13 +271,11 @@ class LogFile:
         """Yield channels of these with Messages; raise LogError if the file is damaged."""
         with _open(self.path) as stream:
             reader = _Reader(stream)
-            try:
-                for block in reader.blocks():
-                    for channel in channels:
-                        if own := block.of(channel):
-                            yield channel, own
-            except _UNREADABLE as error:
-                raise self._damaged(_reason(error)) from None
+            for record in reader.records():
+                for channel in channels if isinstance(record, Messages) else ():
+                    own = record.heads['channel'] == channel
+                    if own.any():
+                        yield channel, record.those(own)
             if reader.damage:
                 raise self._damaged(reader.damage)
 
@@ -285,45 +294,46 @@ class _Reader:
     """
     Reads a log, behind its magic, record by record until it breaks.
 
-    `damage` is the first damage and its place, None for a complete file; `faults` counts all,
-    `lost` are the bytes that could not be read; `left_out` counts attachments and private records,
-    which are not copied.
+    `faults` are place and text of each damage, `lost` are the bytes that could not be read;
+    `left_out` counts attachments and private records, which are not copied.
     """
 
     def __init__(self, stream: BinaryIO) -> None:
         self._stream, self.profile = stream, 'ros2'
         self._place, self._known = len(MCAP0_MAGIC), {Schema: {0}, Channel: set()}
-        self.damage: str | None = None
-        self.lost = self.faults = self.left_out = 0
+        self._resets = self.lost = self.left_out = 0
+        self.faults: list[tuple[int, str]] = []
 
-    def intact(self) -> Iterator[Schema | Channel | Metadata | bytes]:
-        """Yield each Schema and Channel once, Metadata but rosbag2's, and contents of messages."""
-        for opcode, content in self._records():
+    @property
+    def damage(self) -> str | None:
+        """The first damage and its place; None for a complete file that was read."""
+        return '{1} (byte {0})'.format(*min(self.faults)) if self.faults else None
+
+    def records(self) -> Iterator[Schema | Channel | Metadata | Messages]:
+        """Yield each Schema and Channel once, Metadata but rosbag2's, and Messages."""
+        parts: list[bytes] = []  # of what is yielded together: a chunk, messages outside of chunks
+        index: list[bytes] = []  # contents of the MessageIndex records behind it
+        stored = begin = 0       # its bytes in the file, and where they begin
+        for opcode, content in self._framed():
+            if opcode not in _OF_BLOCK or len(parts) > 2 * _AT_ONCE:
+                yield from self._inside(b''.join(parts), index, stored, begin)
+                parts, index, stored, begin = [], [], 0, self._place
             try:
-                yield from self._copied(opcode, content)
+                if opcode == _INDEX_OPCODE:
+                    index.append(content)
+                elif opcode == MESSAGE_OPCODE:
+                    parts += HEAD.pack(opcode, len(content)), content
+                    stored += len(content)
+                elif opcode == _CHUNK_OPCODE:
+                    parts.append(_decompress(_parse(ChunkRecord, content)))
+                    stored = len(content)
+                else:
+                    yield from self._record(opcode, content)
             except _UNREADABLE as error:
                 self._report(_reason(error), HEAD.size + len(content))
+        yield from self._inside(b''.join(parts), index, stored, begin)
 
-    def blocks(self) -> Iterator[Messages]:
-        """Yield the messages of each chunk, or some outside of chunks; raises _UNREADABLE."""
-        parts: list[bytes] = []
-        index: list[bytes] = []
-        resets = 0
-        for opcode, content in self._records():
-            if opcode not in _OF_BLOCK or len(parts) > 2 * _AT_ONCE:
-                if parts:
-                    yield _located(resets, b''.join(parts), index)
-                parts, index = [], []
-            if opcode == _CHUNK_OPCODE:
-                parts.append(_decompress(_parse(ChunkRecord, content)))
-            elif opcode == MESSAGE_OPCODE:
-                parts += HEAD.pack(opcode, len(content)), content
-            elif opcode == _INDEX_OPCODE:
-                index.append(content)
-            elif opcode == Opcode.METADATA:
-                resets += _parse(Metadata, content).name == RESET
-
-    def _records(self):
+    def _framed(self):
         """Yield opcode and content of each record."""
         size, crc = os.fstat(self._stream.fileno()).st_size, zlib.crc32(MCAP0_MAGIC)
         opcode, data_ended = None, False
@@ -352,25 +362,44 @@ class _Reader:
             except _UNREADABLE as error:
                 self._report(_reason(error))
 
-    def _report(self, damage, lost=0):
-        self.faults += 1
+    def _report(self, damage, lost=0, place=None):
+        self.faults.append((self._place if place is None else place, damage))
         self.lost += lost
-        self.damage = self.damage or f'{damage} (byte {self._place})'
 
-    def _copied(self, opcode, content):
-        """Yield what is to be copied of a record: itself, or what it contains."""
-        if opcode == MESSAGE_OPCODE:
-            channel, *_ = MESSAGE.unpack_from(content)
-            if channel in self._known[Channel]:
-                yield content
-            else:
-                self._report(f'a message is of an unknown channel, {channel}')
-        elif opcode == _CHUNK_OPCODE:
-            data = _decompress(_parse(ChunkRecord, content))
-            for inner, begin, end in _walk(data, _MOST_RECORDS + _RECORDS_PER_BYTE * len(content)):
-                yield from self._copied(inner, data[begin:end])
-        elif opcode == Opcode.METADATA:
+    def _inside(self, data, index, stored, begin):
+        """Yield what is in records, found by contents of MessageIndex records if they fit."""
+        messages = _indexed(data, index)
+        if messages is None:
+            left, place, places = _MOST_RECORDS + _RECORDS_PER_BYTE * stored, 0, []
+            try:
+                while place < len(data):
+                    left -= 1
+                    if not left:
+                        raise ValueError('a chunk has more records than its size allows')
+                    opcode, length = HEAD.unpack_from(data, place)
+                    end = place + HEAD.size + length
+                    if end > len(data) or opcode == _CHUNK_OPCODE or (
+                            opcode == MESSAGE_OPCODE and length < MESSAGE.size):
+                        raise ValueError('the records in a chunk are malformed')
+                    if opcode == MESSAGE_OPCODE:
+                        places.append(place)
+                    else:
+                        yield from self._record(opcode, data[place + HEAD.size:end])
+                    place = end
+            except _UNREADABLE as error:
+                self._report(_reason(error), stored, begin)
+            messages = _messages_at(np.array(places, dtype=np.int64), data)
+        known = np.isin(messages.heads['channel'], [*self._known[Channel]])
+        for channel in messages.heads['channel'][~known].tolist():
+            self._report(f'a message is of an unknown channel, {channel}', place=begin)
+        if known.any():
+            yield messages.those(known)._replace(resets=self._resets)
+
+    def _record(self, opcode, content):
+        """Yield a record that is no message and no chunk, if a log needs it."""
+        if opcode == Opcode.METADATA:
             record = _parse(Metadata, content)
+            self._resets += record.name == RESET
             if record.name != 'rosbag2' or self.profile != 'ros2':  # else it is made anew
                 yield record
         elif opcode in (Opcode.SCHEMA, Opcode.CHANNEL):
@@ -393,40 +422,23 @@ def _parse(kind, content):
     return kind.read(ReadDataStream(BytesIO(content)))
 
 
-def _walk(data, most=math.inf):
-    """Yield opcode, begin and end of the content of each of at most so many records."""
-    place = 0
-    while place < len(data):
-        most -= 1
-        if not most:
-            raise ValueError('a chunk has more records than its size allows')
-        opcode, length = HEAD.unpack_from(data, place)
-        begin, place = place + HEAD.size, place + HEAD.size + length
-        if place > len(data) or opcode == _CHUNK_OPCODE:
-            raise ValueError('the records in a chunk are malformed')
-        yield opcode, begin, place
-
-
-def _located(resets, data, index):
-    """Return the Messages in records, found by contents of MessageIndex records if they fit."""
-    # These have channel and size, then a time and a place for each message.
+def _indexed(data, index):
+    """Return the Messages of contents of MessageIndex records, None if these do not fit."""
+    # They have channel and size, then a time and a place for each message.
     entries = b''.join(content[6:6 + (len(content) - 6) // 16 * 16] for content in index)
-    places = np.sort(np.frombuffer(entries, '<u8')[1::2]).astype(np.int64)
+    places = np.sort(np.frombuffer(entries, '<i8')[1::2])
     if len(places) and 0 <= places[0] and places[-1] <= len(data) - _MESSAGE.itemsize:
-        found = _messages_at(places, resets, data)
-        if np.array_equal(np.insert(found.ends, 0, 0), np.append(places, len(data))):
+        found = _messages_at(places, data)
+        if np.array_equal(np.insert(found.ends, 0, 0), np.append(places, len(data))) and (
+                found.heads['opcode'] == MESSAGE_OPCODE).all() and (found.sizes >= 0).all():
             return found
-    # There is no index, or there are other records, too.
-    places = [begin - HEAD.size for opcode, begin, _ in _walk(data) if opcode == MESSAGE_OPCODE]
-    return _messages_at(np.array(places, dtype=np.int64), resets, data)
+    return None  # there is no index, or there are other records, too
 
 
-def _messages_at(places, resets, data):
+def _messages_at(places, data):
     count = max(0, len(data) - _MESSAGE.itemsize + 1)  # of places where a head might be
     heads = np.ndarray(count, _MESSAGE, data, strides=1)[places]
-    if (heads['length'] < MESSAGE.size).any():
-        raise ValueError('a message is too short')
-    return Messages(resets, data, heads, places + HEAD.size + heads['length'].astype(np.int64))
+    return Messages(0, data, heads, places + HEAD.size + heads['length'].astype(np.int64))
 
 
 def recover(file: Path | str, output: Path | str | None = None) -> str:
@@ -444,11 +456,12 @@ def recover(file: Path | str, output: Path | str | None = None) -> str:
         # The file is read twice, because most files are complete, and some are no logs.
         reader, empty, in_sim_time = _Reader(stream), True, False
         count, earliest, latest = 0, math.inf, 0
-        for record in reader.intact():
+        for record in reader.records():
             empty = False
-            if isinstance(record, bytes):
-                time = MESSAGE.unpack_from(record)[2]
-                count, earliest, latest = count + 1, min(earliest, time), max(latest, time)
+            if isinstance(record, Messages):
+                times = record.heads['log_time']
+                count, earliest = count + len(times), min(earliest, int(times.min()))
+                latest = max(latest, int(times.max()))
             elif isinstance(record, Metadata) and record.name == START:
                 in_sim_time = True
         contents = f'{count} messages ' + (
@@ -459,9 +472,9 @@ def recover(file: Path | str, output: Path | str | None = None) -> str:
         if empty:
             raise LogError(f'{printable(path)}: nothing in it is intact: {reader.damage}')
         stream.seek(len(MCAP0_MAGIC))
-        new = _write(_Reader(stream).intact(), reader.profile, Path(file), output)
+        new = _write(_Reader(stream).records(), reader.profile, Path(file), output)
         state = 'it is still being written' if _is_being_written(stream) else reader.damage
-    more = f' and {reader.faults - 1} more' if reader.faults > 1 else ''
+    more = f' and {len(reader.faults) - 1} more' if len(reader.faults) > 1 else ''
     lost = f'{reader.lost} bytes lost'
     if reader.left_out:
         lost += f', {reader.left_out} attachments or private records left out'
@@ -479,19 +492,12 @@ def _write(records, profile, path, output):
         if new.exists():
             raise LogError(f'{printable(output)} exists: remove it or choose another --output')
     with whole_file(new, new=True) as part, open(part, 'wb') as stream:
-        writer, chunk = Writer(stream, profile), Chunk()
+        writer = Writer(stream, profile)
         for record in records:
-            if isinstance(record, bytes):
-                chunk.add(record[MESSAGE.size:], *MESSAGE.unpack_from(record))
-                if len(chunk.data) < CHUNK_SIZE:
-                    continue
-            if chunk.data:
-                writer.add_chunk(chunk)
-                chunk = Chunk()
-            if not isinstance(record, bytes):
+            if isinstance(record, Messages):
+                writer.add_chunk(record.chunk())
+            else:
                 writer.add(record)
-        if chunk.data:
-            writer.add_chunk(chunk)
         writer.finish(new.name)
         sync(stream)
     return new
