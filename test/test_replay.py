@@ -53,11 +53,12 @@ def test_a_bag_of_commands_gives_the_run_with_these_loads(bag, paper, tmp_path):
     text = call('replay', bag, '--scene', paper, '--start', 0.1, '--duration', 1.5, '--set',
                 'load.force_x.harmonic.amplitude=[]', '--set',
                 'load.force_x.harmonic.frequency=[]', '--set', 'load.force_x.harmonic.phase=[]',
-                '-o', tmp_path / 'run.mcap')
+                '--set', 'rate.tip_pose=20', '-o', tmp_path / 'run.mcap')
     assert '3 commands' in text and '1 commands are left out' in text
     recording = Recording(tmp_path / 'run.mcap')
     # A command 299.000001 ms after the first comes in the 300th step and acts from its end on.
     assert recording.topics['~/motor_torque'].step.tolist() == [100, 400, 800]
+    assert recording.topics['~/tip_pose'].step.tolist() == list(range(0, 1501, 50))
     scene = timo_sim.load_scene(paper, {
         'load.force_x.harmonic.amplitude': [], 'load.force_x.harmonic.frequency': [],
         'load.force_x.harmonic.phase': [], **SCENE})

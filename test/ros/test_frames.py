@@ -21,8 +21,9 @@ from timo_sim.log.tables import Recording
 from timo_sim.model.layout import LOADS, TIP_TORQUE, TIP_X, TIP_Y
 from timo_sim.runs.replay import replay
 from timo_sim.scene.parameters import frame_names, ParameterError
+from timo_sim.simulation.loads import load_of_commands
 from timo_sim.simulation.simulator import Simulator
-from timo_sim.topics.commands import load_of_commands, COMMANDED, COMMANDS
+from timo_sim.topics.commands import COMMANDED, COMMANDS
 from timo_sim.topics.outputs import in_frames, TRANSFORMS
 
 GIVEN = {'frame_prefix': 'left/', 'frame.world': 'map', 'frame.carrier': 'base_link'}

@@ -7,7 +7,7 @@ from diagnostic_msgs.msg import DiagnosticArray, DiagnosticStatus, KeyValue
 from rclpy.node import Node
 from rclpy.serialization import serialize_message
 
-from timo_sim.ros.loop import Loop
+from timo_sim.ros.loop import Loop, Waiting
 from timo_sim.ros.topics import Commands, Outlet, RunLog
 from timo_sim.simulation.simulator import Simulator
 from timo_sim.topics.outputs import NANOSECONDS
@@ -80,7 +80,7 @@ class Health:
     def _check_surroundings(self):
         """Find what is wrong with other nodes, and warn of what is new."""
         node, gate = self._node, self._loop.gate
-        silent = (gate.awaits_first and gate.waiting and gate.stamped and not self._loop.paused
+        silent = (gate.waits is Waiting.FIRST and gate.stamped and not self._loop.paused
                   and self._commands.expected())
         self._silent_periods = self._silent_periods + 1 if silent else 0
         nodes = node.get_node_names_and_namespaces()

@@ -4,6 +4,7 @@
 """The node's loop: does steps in time with the wall clock, applies commands and publishes."""
 
 from collections.abc import Callable
+from enum import Enum
 import math
 import time
 from typing import Any
@@ -12,10 +13,11 @@ import numpy as np
 
 from timo_sim.ros.topics import Commands, LateOutlet, RunLog
 from timo_sim.scene.parameters import MOST_STEPS, whole_ratio
+from timo_sim.simulation.loads import load_of_commands
 from timo_sim.simulation.simulator import Simulator
 from timo_sim.simulation.snapshot import Snapshot
 from timo_sim.simulation.warnings import DivergenceError
-from timo_sim.topics.commands import COMMANDED, has_tip_force, load_of_commands
+from timo_sim.topics.commands import COMMANDED, has_tip_force
 from timo_sim.topics.outputs import NANOSECONDS
 
 _TICK_TIME = 1e-3          # [s] of wall time; shorter steps are done several at a time
@@ -58,7 +60,7 @@ class Loop:
         # /clock first, then the states, which wake the controller, so that it reads the new time.
         # Where /clock itself wakes it, as in ros2_control, the states come first.
         self._outlets = sorted(outlets, key=lambda outlet: outlet.name != '/clock') if (
-            self.gate and self.gate.stamped) else outlets
+            self.gate.period and self.gate.stamped) else outlets
         self._late = [outlet for outlet in outlets if isinstance(outlet, LateOutlet)]
         self._commanded = np.zeros(COMMANDED)
         self._shown_at = -math.inf  # wall time at which the state was published last [s]
@@ -66,7 +68,7 @@ class Loop:
     def configure(self, values: dict[str, Any], steps_each: dict[str, int]) -> None:
         """Take parameters that may change at run time, and steps between messages by rate."""
         for outlet in self._outlets:
-            outlet.every = self.gate.period if self.gate and outlet.rate in _ANSWERED else (
+            outlet.every = self.gate.period if self.gate.period and outlet.rate in _ANSWERED else (
                 steps_each[outlet.rate])
         self._timeout_steps = math.ceil(values['command_timeout'] / self.simulator.scene.step)
         self.pace.set(values['real_time_factor'], values['catch_up_limit'],
@@ -96,7 +98,7 @@ class Loop:
         goal = min(simulator.steps + count, self.end)
         while simulator.steps < goal and not stop.set:
             first = simulator.steps
-            if self.gate and self._waits(first):
+            if self.gate.period and self._waits(first):
                 return
             self._apply_commands(first)
             last = first + 1
@@ -117,19 +119,19 @@ class Loop:
     def _waits(self, step):
         """Return whether a step must wait for the controller's command."""
         now, gate = time.monotonic(), self.gate
-        stood, left = gate.awaits_first or gate.abandoned, gate.abandoned
-        closed = gate.must_wait(step, now, self._commands.received, self._commands.expected)
-        if stood and not closed:
-            self.pace.start(step, now)  # time begins to run now, or goes on
-        if gate.abandoned and not left:
+        before, stands = gate.waits, (Waiting.FIRST, Waiting.NOBODY)
+        gate.look(step, now, self._commands.received, self._commands.expected)
+        if gate.waits is Waiting.NOBODY is not before:
             self._logger.warning(f'nobody publishes commands any more: time stands at step {step} '
                                  'until the next command')
-        if closed:
+        if gate.waiting:
             # Repeated until the controller is there and has received the state it must answer.
-            self._show_again(now, everybody=gate.awaits_first or gate.abandoned)
-        else:
-            self._shown_at = now
-        return closed
+            self._show_again(now, everybody=gate.waits in stands)
+            return True
+        self._shown_at = now
+        if before in stands:
+            self.pace.start(step, now)  # time begins to run now, or goes on
+        return False
 
     def _show_again(self, now, everybody=False):
         """Send the state again while time stands, to new subscribers and not to the log."""
@@ -313,9 +315,18 @@ class Pace:
         return self._base_time + ahead * self._step / self._factor
 
 
+class Waiting(Enum):
+    """What a step in lock step waits for."""
+
+    NOT = 'nothing'
+    FIRST = 'the first command since the start or a reset'
+    COMMAND = 'the next command'
+    NOBODY = 'the next command, though nobody publishes commands any more'
+
+
 class Gate:
     """
-    Lock step: says when a step must wait for the controller's command.
+    Lock step: says when a step must wait for the controller's command, and for which: `waits`.
 
     The run begins with the first command, which is waited for without limit or, where any command
     is an answer, until somebody publishes commands: a controller manager on sim time sends none
@@ -325,8 +336,7 @@ class Gate:
 
     `period` is the number of steps from one wait to the next, 0 without lock step. An answer has
     the stamp of the state if `stamped`; if not, any command is an answer. `missed` counts waits
-    that ended without a command. While time stands, `awaits_first` says that the first command
-    since the start or a reset has not come yet, `abandoned` that nobody publishes any more.
+    that ended without a command.
     """
 
     def __init__(self, period: int, timeout: float, stamped: bool = True) -> None:
@@ -337,9 +347,9 @@ class Gate:
 
     def restart(self, step: int) -> None:
         """Wait for a first command again, which answers the state at a step."""
-        self.awaits_first, self.abandoned = True, False
-        self._passed: int | None = None
-        self._since: float | None = None
+        self.waits, self._begun = Waiting.NOT, False
+        self._passed: int | None = None  # step that has waited
+        self._since = 0.0  # wall time at which a wait began [s]
         self._begin, self._late = step, self._late + 1 if step == self._begin else 1
 
     def stamp_offset(self, step: int) -> int:
@@ -349,7 +359,7 @@ class Gate:
     @property
     def waiting(self) -> bool:
         """Whether a step waits."""
-        return self._since is not None
+        return self.waits is not Waiting.NOT
 
     def takes_commands(self, step: int) -> bool:
         """Return whether commands may begin to act at a step."""
@@ -366,26 +376,21 @@ class Gate:
         """Return the next step at which commands may begin to act, or infinity."""
         return (step // self.period + 1) * self.period if self.period else math.inf
 
-    def __bool__(self):
-        return self.period > 0
-
-    def must_wait(self, step: int, now: float, answered: bool,
-                  expected: Callable[[], bool]) -> bool:
-        """Return whether a step must wait at a wall time [s] for an answer."""
+    def look(self, step: int, now: float, answered: bool, expected: Callable[[], bool]) -> None:
+        """Find what a step waits for at a wall time [s]; `answered` says that a command came."""
         if step % self.period or step == self._passed:
-            return False
-        self._since = now if self._since is None else self._since
-        if answered:
-            self.awaits_first = False
-        else:
-            timeout = self._timeout
-            if self.awaits_first:
-                timeout = math.inf if self.stamped else _REPETITION
-            if now - self._since < timeout:
-                return True
+            return
+        self._begun |= answered
+        if not answered:
+            if not self.waiting:
+                self._since = now
+                self.waits = Waiting.COMMAND if self._begun else Waiting.FIRST
+            if now - self._since < (self._timeout if self._begun else
+                                    math.inf if self.stamped else _REPETITION):
+                return
             if not expected():
-                self._since, self.abandoned = now, not self.awaits_first
-                return True
-            self.missed += not self.awaits_first
-        self._passed, self._since, self.abandoned = step, None, False
-        return False
+                self._since = now
+                self.waits = Waiting.NOBODY if self._begun else Waiting.FIRST
+                return
+            self.missed += self._begun
+        self._passed, self.waits = step, Waiting.NOT

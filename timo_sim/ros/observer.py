@@ -24,8 +24,9 @@ from timo_sim.ros.private import overrides, take
 from timo_sim.ros.topics import Commands, decode, message_class, MotionOutlet
 from timo_sim.scene.parameters import frame_names, Parameter, ParameterError, short
 from timo_sim.scene.scene import scene_from
+from timo_sim.simulation.loads import load_of_commands
 from timo_sim.simulation.warnings import DivergenceError
-from timo_sim.topics.commands import COMMANDED, load_of_commands, RefusedError
+from timo_sim.topics.commands import COMMANDED, RefusedError
 from timo_sim.topics.outputs import IMU, NANOSECONDS, outputs, SENSORS
 
 _POLL = 1e-3        # [s] of wall time between two looks for messages

@@ -7,6 +7,7 @@ from __future__ import annotations
 
 from collections.abc import Callable, Mapping
 from dataclasses import dataclass, field
+from itertools import pairwise
 import math
 from pathlib import Path
 import time
@@ -24,11 +25,11 @@ from timo_sim.scene.parameters import (
     check, checked, DEFAULTS, frame_names, LATEST, Parameter, ParameterError, PATH, steps_in, TEXT,
     whole_ratio)
 from timo_sim.scene.scene import Scene, scene_from, values_of
+from timo_sim.simulation.loads import load_of_commands
 from timo_sim.simulation.simulator import Simulator
 from timo_sim.simulation.warnings import DivergenceError
 from timo_sim.topics.cdr import pack
-from timo_sim.topics.commands import (
-    COMMANDED, COMMANDS, GROUPS, has_tip_force, load_of_commands)
+from timo_sim.topics.commands import COMMANDED, COMMANDS, GROUPS, has_tip_force
 from timo_sim.topics.outputs import title, with_angles
 
 _ROUNDING = 1e-9  # relative error of times in steps
@@ -181,96 +182,150 @@ def segments_of(recording: Recording, scene: Scene, values: Mapping[str, Any], s
     default of the last message [s]. Raises LogError if there is nothing to replay; ParameterError
     if logged messages are not at whole time steps, or the log is shorter than the duration.
     """
-    found = recording.topics
-    known = {output.name: output for output in scene.outputs}
-    commands = [(number, found[command.name]) for number, command in enumerate(COMMANDS)
-                if command.name in found]
-    motions = {name: series for name, series in found.items() if name in known and len(series.ns)}
-    if not any(len(series.ns) for series in found.values()):
-        raise recording.lacks(f'messages of {recording.name}')
-    changed = [int(recording.resets_before(*when)) for *when, _ in recording.changes]
-    for topic, resets in (*((series.topic, series.resets) for series in found.values()),
-                          ('a setting', np.array(changed))):
-        if (resets < 0).any():
-            raise LogError(f'{recording.title} is in another order than it was logged in: '
-                           f'whether {topic[:80]} at the step of a reset was before or after it '
-                           'is not known')
-    shift = 0 if recording.facts or motions else round(1e9 * _START.check(start)) - min(
-        int(series.ns[0]) for _, series in commands if len(series.ns))  # of stamps [ns]
+    recorded, result = _Recorded(recording, scene, values, start), []
+    last = recorded.last_step(duration)
+    for number, (first, end) in enumerate(pairwise([0, *recorded.resets, last])):
+        end = min(end, last)
+        if end < first:
+            break
+        samples, logged = recorded.motion(number, end)
+        samples |= recorded.samples_of_others(samples, first, end, last)
+        commands = given = recorded.commands(number, end)
+        if recording.reset_times is not None:  # the log of a node has a message for each time-out
+            commands = _with_timeouts(given, recording, scene, end)
+        result.append(Segment(
+            first=first, last=end, commands=commands, changes=recorded.changes(number),
+            samples=samples, logged=logged, timeouts=len(commands) - len(given)))
+    return result
 
-    # Steps of a recording in steps of the scene.
-    ratio = recording.scene.step / scene.step if recording.facts else math.nan
 
-    def steps(series):
-        return series.step * ratio if recording.facts else 1e-9 * (series.ns + shift) / scene.step
+class _Recorded:
+    """
+    What a recording has, in steps of a scene; arguments and errors are those of `segments_of`.
 
-    def steps_that_fit(series):
-        exact = steps(series)
+    Resets are counted: what has the number k comes after k of them. `resets` are their steps.
+    """
+
+    def __init__(self, recording, scene, values, start):
+        self._recording, self._scene, self._values = recording, scene, values
+        topics = recording.topics
+        if not any(len(series.ns) for series in topics.values()):
+            raise recording.lacks(f'messages of {recording.name}')
+        self._changed = [int(recording.resets_before(*when)) for *when, _ in recording.changes]
+        self._refuse_other_order()
+        self._outputs = {output.name: output for output in scene.outputs}
+        self._ratio, self.resets = math.nan, []
+        if recording.facts:
+            self._ratio = recording.scene.step / scene.step
+            self.resets = _round_up(recording.resets * self._ratio).tolist()
+        motions = {name: series for name, series in topics.items()
+                   if name in self._outputs and len(series.ns)}
+        commands = [(number, topics[command.name]) for number, command in enumerate(COMMANDS)
+                    if command.name in topics]
+        self._shift = 0  # of stamps [ns]
+        if not recording.facts and not motions:
+            self._shift = round(1e9 * _START.check(start)) - min(
+                int(series.ns[0]) for _, series in commands if len(series.ns))
+        # Of each topic of commands: its index in COMMANDS, its series, the steps of its messages.
+        self._commands = [(number, series, _round_up(self._steps(series)))
+                          for number, series in commands]
+        # The motion in a plain bag is not compared, because it is not known exactly when its
+        # commands began to act: it says only when the run ends.
+        self._motions = motions if recording.facts else {}
+        self._end = max([0, *(math.floor(self._steps(series).max()) for series in motions.values()
+                              if not recording.facts)])
+        self._published = {name: self._whole_steps(series)
+                           for name, series in self._motions.items()}
+        # Delayed messages that are not yet published at the end, or at a reset, are lost.
+        self._late = _delays_in_steps(self._outputs, scene, scene.step)
+        if not recording.facts and 'joint_states' in motions:
+            _refuse_reset(recording, motions['joint_states'], scene)
+
+    def _refuse_other_order(self):
+        for topic, resets in (
+                *((series.topic, series.resets) for series in self._recording.topics.values()),
+                ('a setting', np.array(self._changed))):
+            if (resets < 0).any():
+                raise LogError(f'{self._recording.title} is in another order than it was logged '
+                               f'in: whether {topic[:80]} at the step of a reset was before or '
+                               'after it is not known')
+
+    def _steps(self, series):
+        if self._recording.facts:
+            return series.step * self._ratio
+        return 1e-9 * (series.ns + self._shift) / self._scene.step
+
+    def _whole_steps(self, series):
+        exact, step = self._steps(series), self._scene.step
         whole = _round_up(exact)
         missed = np.abs(whole - exact) > 1e-6
         if missed.any():
             raise ParameterError(
-                f'integrator.step = {scene.step:g} s does not meet the times of {series.topic}, '
-                f'such as {exact[np.argmax(missed)] * scene.step:.9g} s: take one that divides '
-                'them')
+                f'integrator.step = {step:g} s does not meet the times of {series.topic}, such as '
+                f'{exact[np.argmax(missed)] * step:.9g} s: take one that divides them')
         return whole
 
-    # The motion in a plain bag is not compared, because it is not known exactly when its commands
-    # began to act.
-    own = motions if recording.facts else {}
-    # Of each topic of commands: its index in COMMANDS, its series, the steps of its messages.
-    commanding = [(number, series, _round_up(steps(series))) for number, series in commands]
-    published = {name: steps_that_fit(series) for name, series in own.items()}
-    delays = _delays_in_steps(known, recording.scene, scene.step) if own else {}
-    last = _last_step(commanding, {name: at + delays[name] for name, at in published.items()},
-                      motions, shift, scene, duration)
-    ends = [last]
-    if recording.facts:
-        ends = [*_round_up(np.array(recording.resets) * ratio).tolist(), last]
-    elif 'joint_states' in motions:
-        _refuse_reset(recording, motions['joint_states'], scene)
-    unlogged = {'/clock', *(name for name, output in known.items()
-                            if output.delay and not values.get('record_sensors'))}
-    # Delayed messages that are not yet published at the end, or at a reset, are lost.
-    late = _delays_in_steps(known, scene, scene.step)
-    result = []
-    for number, end in enumerate(ends):
-        first = ends[number - 1] if number else 0
-        end = min(end, last)
-        if end < first:
-            break
-        inside = [(int(at[k]), kind, series.values[k], series.data[k])
-                  for kind, series, at in commanding
-                  for k in np.flatnonzero((series.resets == number) & (at < end))]
-        changes = [(int(_round_up(step * ratio)), values)
-                   for count, (step, _, values) in zip(changed, recording.changes)
-                   if count == number]
-        until = {name: end - steps for name, steps in late.items()}
+    def last_step(self, duration):
+        """Return the step at a duration [s], by default that of the last message."""
+        if self._published:
+            delays = _delays_in_steps(self._outputs, self._recording.scene, self._scene.step)
+            end = max(int((at + delays[name]).max()) for name, at in self._published.items())
+        else:
+            end = max([self._end, *(int(at.max(initial=0)) for *_, at in self._commands)])
+        if duration is None:
+            return end
+        wanted = steps_in(duration, self._scene.step)
+        if self._published and wanted > end:
+            raise ParameterError(f'duration = {duration:g} s is beyond the end of the log, '
+                                 f'{end * self._scene.step:.9g} s')
+        return wanted
+
+    def commands(self, number, end):
+        """Return the commands of a segment that act before its end, as in `Segment`."""
+        found = [(int(at[k]), kind, series.values[k], series.data[k])
+                 for kind, series, at in self._commands
+                 for k in np.flatnonzero((series.resets == number) & (at < end))]
+        return sorted(found, key=lambda entry: entry[:2])
+
+    def changes(self, number):
+        """Return the changes of a segment, as in `Segment`."""
+        return [(int(_round_up(step * self._ratio)), values)
+                for count, (step, _, values) in zip(self._changed, self._recording.changes)
+                if count == number]
+
+    def motion(self, number, end):
+        """Return the steps of a segment's messages by topic, and their numbers."""
         samples, logged = {}, {}
-        for name, at in published.items():
-            which = (own[name].resets == number) & (at <= until[name])
-            samples[name], logged[name] = at[which], own[name].values[which]
-        for name in known.keys() - samples.keys() - unlogged:
+        for name, at in self._published.items():
+            series = self._motions[name]
+            which = (series.resets == number) & (at <= end - self._late[name])
+            samples[name], logged[name] = at[which], series.values[which]
+        return samples, logged
+
+    def samples_of_others(self, samples, first, end, last):
+        """Return the steps, by topic, of what the node publishes and the recording lacks."""
+        result, values = {}, self._values
+        for name, output in self._outputs.items():
+            until = end - self._late[name]
+            if name in samples or name == '/clock' or (
+                    output.delay and not values.get('record_sensors')):
+                continue
             if 'joint_states' in samples:  # modal_state, if the scene of the log has no modes
-                at = samples['joint_states']
-                samples[name] = at[at <= until[name]]
-            elif not own:
-                rate = known[name].rate
-                every = whole_ratio('1/integrator.step', 1.0 / scene.step, rate, values[rate])
+                result[name] = samples['joint_states']
+            elif self._motions:
+                continue
+            else:
+                every = whole_ratio('1/integrator.step', 1.0 / self._scene.step, output.rate,
+                                    values[output.rate])
                 if last // every > _MOST_SAMPLES:
-                    raise LogError(f'{recording.title} lasts {last * scene.step:.3g} s, by its '
-                                   f'log times, with {last // every} samples of {name}, more '
-                                   f'than {_MOST_SAMPLES}: give --duration, or cut the bag')
+                    raise LogError(
+                        f'{self._recording.title} lasts {last * self._scene.step:.3g} s, by its '
+                        f'log times, with {last // every} samples of {name}, more than '
+                        f'{_MOST_SAMPLES}: give --duration, or cut the bag')
                 # A reset is published, too.
-                at = np.arange(first - first % every, until[name] + 1, every).clip(first)
-                samples[name] = at[at <= until[name]]
-        inside.sort(key=lambda entry: entry[:2])
-        result.append(Segment(first=first, last=end, commands=inside, changes=changes,
-                              samples=samples, logged=logged))
-        if recording.reset_times is not None:  # the log of a node has a message for each time-out
-            result[-1].commands = _with_timeouts(inside, recording, scene, end)
-            result[-1].timeouts = len(result[-1].commands) - len(inside)
-    return result
+                result[name] = np.arange(first - first % every, until + 1, every).clip(first)
+            result[name] = result[name][result[name] <= until]
+        return result
 
 
 def _with_timeouts(commands, recording, scene, end):
@@ -316,22 +371,6 @@ def _round_up(exact):
     """Return steps as whole numbers, not below 0, but for their rounding errors."""
     whole = np.ceil(exact - _ROUNDING * np.maximum(1.0, np.abs(exact)))
     return np.maximum(whole, 0.0).astype(np.int64)
-
-
-def _last_step(commanding, published, motions, shift, scene, duration):
-    ends = [at.max(initial=0) for at in published.values()]
-    if not published:
-        ends += [at.max(initial=0) for _, _, at in commanding]
-        ends += [math.floor(1e-9 * (series.ns.max(initial=0) + shift) / scene.step)
-                 for series in motions.values()]
-    end = int(max(ends))
-    if duration is None:
-        return end
-    wanted = steps_in(duration, scene.step)
-    if published and wanted > end:
-        raise ParameterError(f'duration = {duration:g} s is beyond the end of the log, '
-                             f'{end * scene.step:.9g} s')
-    return wanted
 
 
 class Replay:

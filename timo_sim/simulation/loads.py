@@ -14,13 +14,14 @@ import numpy as np
 
 from timo_sim.compiled.constants import pack, Packed
 from timo_sim.model.formulation import Formulation
-from timo_sim.model.layout import INPUTS, LOADS, STEP_LOADS
+from timo_sim.model.layout import INPUTS, LOADS, rotate, STEP_LOADS, TIP_I, TIP_II
 from timo_sim.model.statics import pick_up
 from timo_sim.scene.bodies import motor_constants
 from timo_sim.scene.parameters import did_you_mean, numbers, ParameterError, short
 from timo_sim.scene.scene import Scene
 from timo_sim.steps import loads as steps_loads
 from timo_sim.steps.steps import NO_LOADS
+from timo_sim.topics.commands import has_tip_force
 
 # Columns of a load that each argument of `Simulator.step` sets: one, or a list of two.
 ARGUMENTS: dict[str, Any] = {}
@@ -216,3 +217,19 @@ def pieces(scene: Scene, steps: np.ndarray,
     tips = [None, *((mass, inertia) for _, mass, inertia in payloads)]
     return [(scene.build(scene.manipulator, tip), slice(first, last))
             for tip, first, last in zip(tips, bounds, bounds[1:]) if first < last]
+
+
+def load_of_commands(commanded: np.ndarray, simulator: Any) -> np.ndarray:
+    """
+    Return the load, (LOADS,), of commanded values, (COMMANDED,), in a Simulator's next step.
+
+    A force in the axes of the tip takes their direction in the middle of the step, extrapolated
+    from the motion at its start: the error is of second order in the step.
+    """
+    if not has_tip_force(commanded):
+        return commanded[:LOADS]
+    load, motion, model = commanded[:LOADS].copy(), simulator.motion, simulator.model
+    middle = motion.q + 0.5 * simulator.scene.step * motion.qdot
+    rotation = model.section_rotation(middle, model.tip_point)[0]
+    load[[TIP_I, TIP_II]] += rotate(float(rotation), *commanded[LOADS:])
+    return load

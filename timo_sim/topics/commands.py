@@ -5,14 +5,14 @@
 
 from collections.abc import Callable, Mapping, Sequence
 import math
-from typing import Any, NamedTuple
+from typing import NamedTuple
 
 import numpy as np
 
-from timo_sim.model.layout import Input, INPUTS, LOADS, rotate, TIP_I, TIP_II
+from timo_sim.model.layout import Input, INPUTS, LOADS
 
 # Commanded values have the columns of a load, and two more: a force on the tip in the axes of the
-# tip, which `load_of_commands` turns into a load.
+# tip, which `simulation.loads.load_of_commands` turns into a load.
 _COMMANDED = (
     *INPUTS,
     Input('tip_force_along_tip', 'N', 'force on the end effector along its axis', 'tip', 'tip'),
@@ -93,7 +93,8 @@ class Command(NamedTuple):
     """
     A command topic.
 
-    `load` takes the texts and the lists of numbers of a message, and the names of frames; it
+    Live messages and logged bytes are both reduced to their texts and their lists of numbers, so
+    that one function reads a command in both: `load` takes these and the names of frames, and
     returns the values of each group of inputs that the message sets, or raises RefusedError.
     """
 
@@ -153,19 +154,3 @@ COMMANDS = [
 def has_tip_force(commanded: np.ndarray) -> bool:
     """Return whether commanded values, (COMMANDED,), have a force in the axes of the tip."""
     return commanded[ALONG_TIP] != 0.0 or commanded[ACROSS_TIP] != 0.0
-
-
-def load_of_commands(commanded: np.ndarray, simulator: Any) -> np.ndarray:
-    """
-    Return the load, (LOADS,), of commanded values, (COMMANDED,), in a Simulator's next step.
-
-    A force in the axes of the tip takes their direction in the middle of the step, extrapolated
-    from the motion at its start: the error is of second order in the step.
-    """
-    if not has_tip_force(commanded):
-        return commanded[:LOADS]
-    load, motion, model = commanded[:LOADS].copy(), simulator.motion, simulator.model
-    middle = motion.q + 0.5 * simulator.scene.step * motion.qdot
-    rotation = model.section_rotation(middle, model.tip_point)[0]
-    load[[TIP_I, TIP_II]] += rotate(float(rotation), *commanded[LOADS:])
-    return load
