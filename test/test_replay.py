@@ -17,9 +17,11 @@ from rosbags.typesys import get_typestore, Stores
 
 import timo_sim
 from timo_sim.cli import main
+from timo_sim.log.new_log import NewLog
+from timo_sim.log.notes import CHANGE, change_note, RESET
 from timo_sim.log.read import LogError
 from timo_sim.log.tables import Recording
-from timo_sim.log.write import CHANGE, change_note, Channel, NewLog, Recorder, RESET
+from timo_sim.log.write import Channel, Recorder
 from timo_sim.scene.parameters import DEFAULTS, PARAMETERS
 from timo_sim.topics.outputs import outputs
 
@@ -197,7 +199,7 @@ def test_other_bags_are_called_what_they_are(bag, tmp_path, storage, default_sce
 
 def log_of(path, scene, torques, last):
     """Write a log as the node would, joint states of `simulate` every 10 ms; return its path."""
-    from timo_sim.log.write import START, start_note
+    from timo_sim.log.notes import START, start_note
     from timo_sim.scene.parameters import PARAMETERS
     from timo_sim.topics.cdr import Serializer
     from timo_sim.topics.outputs import outputs

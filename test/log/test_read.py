@@ -33,9 +33,10 @@ import yaml
 import timo_sim
 from timo_sim.cli import main
 from timo_sim.log.info import info
+from timo_sim.log.notes import START, SUMMARY
 from timo_sim.log.read import LogError, LogFile, recover
 from timo_sim.log.tables import common, Recording, table
-from timo_sim.log.write import Channel, Recorder, START, SUMMARY
+from timo_sim.log.write import Channel, Recorder
 from timo_sim.topics.cdr import Serializer
 from timo_sim.topics.commands import COMMANDS
 from timo_sim.topics.outputs import outputs

@@ -15,7 +15,7 @@ from xml.etree import ElementTree
 from timo_sim.export.c import link, write_c
 from timo_sim.export.constants import interface_of
 from timo_sim.log.read import LogFile
-from timo_sim.log.write import NewLog
+from timo_sim.log.new_log import NewLog
 from timo_sim.scene.files import check_target, whole_file
 from timo_sim.scene.parameters import frame_names
 from timo_sim.scene.scene import Scene

@@ -7,8 +7,8 @@ import json
 from pathlib import Path
 from textwrap import wrap
 
+from timo_sim.log.notes import ENVIRONMENT, plain
 from timo_sim.log.read import LogFile
-from timo_sim.log.write import ENVIRONMENT, plain
 from timo_sim.topics.outputs import NANOSECONDS
 
 _IN_A_LINE = 4  # counters

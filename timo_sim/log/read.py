@@ -33,9 +33,8 @@ from mcap.writer import MCAP0_MAGIC
 import numpy as np
 import zstandard
 
-from timo_sim.log.write import (
-    CHANGE, Chunk, HEAD, MESSAGE, MESSAGE_OPCODE, numbered, printable,
-    RESET, START, SUMMARY, sync, Writer)
+from timo_sim.log.notes import CHANGE, printable, RESET, START, SUMMARY
+from timo_sim.log.write import Chunk, HEAD, MESSAGE, MESSAGE_OPCODE, numbered, sync, Writer
 from timo_sim.scene.files import whole_file
 
 _LARGEST_CHUNK = 64 * 1024 * 1024      # [B] uncompressed

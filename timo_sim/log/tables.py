@@ -23,9 +23,9 @@ from typing import Any
 import numpy as np
 
 from timo_sim.extras import optional
+from timo_sim.log.notes import original_names, printable, TEXT
 from timo_sim.log.read import files_of, LogError, LogFile
-from timo_sim.log.write import (
-    information, original_names, printable, TEXT, yaml_text)
+from timo_sim.log.rosbag2 import information, yaml_text
 from timo_sim.scene.files import whole_file
 from timo_sim.scene.parameters import frame_names, ParameterError, PARAMETERS
 from timo_sim.scene.scene import load_scene

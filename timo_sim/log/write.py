@@ -2,7 +2,7 @@
 # SPDX-License-Identifier: Apache-2.0
 
 """
-Write MCAP files chunk by chunk, in a thread of their own; the metadata records of a run's log.
+Write MCAP files chunk by chunk, in a thread of their own.
 
 Besides messages, a file has what rosbag2 writes: the QoS of topics, and its own metadata record.
 """
@@ -13,18 +13,13 @@ from collections import Counter, defaultdict, deque
 from collections.abc import Iterator
 from contextlib import suppress
 import fcntl
-from functools import cache
-from importlib.metadata import version
 from itertools import count
-import json
-import math
 import os
 from pathlib import Path
-import platform
 import struct
 import threading
 import time
-from typing import Any, BinaryIO, NamedTuple, TYPE_CHECKING
+from typing import Any, BinaryIO, NamedTuple
 import zlib
 
 import lz4.frame
@@ -35,111 +30,15 @@ from mcap.records import (
     MetadataIndex, Schema, Statistics)
 from mcap.summary import Summary
 from mcap.writer import LIBRARY_IDENTIFIER, MCAP0_MAGIC
-import numpy as np
-import yaml
 
+from timo_sim.log.rosbag2 import DEPTH, information, offered_qos, yaml_text
 from timo_sim.scene.files import check_target
-from timo_sim.scene.parameters import changed, frame_names
-from timo_sim.topics.cdr import pack, schema_text, Serializer, TYPE_HASHES
-from timo_sim.topics.commands import COMMANDS
-from timo_sim.topics.outputs import in_frames, TRANSFORMS
-from timo_sim.version import __version__
-
-if TYPE_CHECKING:  # the import of its module takes longer than `timo_sim info`
-    from timo_sim.scene.scene import Scene
-
-DESCRIPTION, TEXT = 'robot_description', 'std_msgs/msg/String'
-START, RESET, SUMMARY = 'timo_sim', 'timo_sim.reset', 'timo_sim.summary'
-CHANGE = 'timo_sim.change'
-# Versions and hardware that the last bits of a run depend on.
-ENVIRONMENT = ('timo_sim', 'python', 'numpy', 'scipy', 'numba', 'machine', 'processor', 'log')
-LOG_VERSION = 2  # of what rows hold, see doc/log.md; the first one is not noted
-
-
-def start_note(node: str, values: dict) -> dict[str, str]:
-    """Return the metadata for the start of a run of a node with these parameters."""
-    return {'node': node, 'parameters': _json(values), 'changed': _json(changed(values)),
-            **_environment()}
-
-
-def change_note(step: int, values: dict) -> dict[str, str]:
-    """Return the metadata for what was set while the node runs, as in `Recording.changes`."""
-    return {'step': str(step), 'values': _json(values)}
-
-
-def names_note(channels: list) -> dict[str, str]:
-    """Return the metadata for the names of topics before they were remapped."""
-    return {'topics': _json({channel.topic: channel.name for channel in channels})}
-
-
-def scene_message(event: str, step: int, node: str, channels: list, values: dict,
-                  given: dict) -> bytes:
-    """
-    Return what ~/scene says of an event at a step, JSON in a serialised message.
-
-    The event is a start, a reset, or that the values `given` were set, as in `change_note`;
-    `values` are the node's parameters from this step on.
-    """
-    return pack(TEXT, {'data': json.dumps({
-        'event': event, 'step': step, 'set': _plain(given), 'node': node, **_environment(),
-        'topics': {channel.topic: channel.name for channel in channels},
-        'parameters': _plain(values)}, indent=1)})
-
-
-def _json(values):
-    return json.dumps(_plain(values))
-
-
-def _plain(values):
-    # A limit may be infinite, and JSON has no infinity; the text is read as a number again.
-    return {name: str(value) if value in (math.inf, -math.inf) else value
-            for name, value in values.items()}
-
-
-def original_names(facts: dict[str, str]) -> dict[str, str]:
-    """Return the names of topics before they were remapped, by topic; {} if a log has none."""
-    try:
-        return {topic: str(name) for topic, name in json.loads(facts['topics']).items()}
-    except (KeyError, AttributeError, ValueError, RecursionError):
-        return {}
-
-
-def environment_differences(facts: dict[str, str]) -> str:
-    """Return in words which versions and hardware differ from those of a log, or ''."""
-    return ', '.join(f'{name} {facts[name][:40]} (here {value})'
-                     for name, value in _environment().items() if facts.get(name, value) != value)
-
-
-@cache
-def _environment():
-    from llvmlite.binding import get_host_cpu_name  # steps are compiled for this processor
-    return dict(zip(ENVIRONMENT, (
-        __version__, platform.python_version(),
-        *(version(package) for package in ('numpy', 'scipy', 'numba')),
-        platform.machine(), get_host_cpu_name(), str(LOG_VERSION))))
-
+from timo_sim.topics.cdr import schema_text, TYPE_HASHES
 
 HEAD = struct.Struct('<BQ')       # of a record: opcode, and length of the content
 MESSAGE = struct.Struct('<HIQQ')  # channel, sequence number, log time, publish time; data follow
 _HEAD_AND_MESSAGE = struct.Struct('<BQHIQQ')
 MESSAGE_OPCODE = int(Opcode.MESSAGE)  # comparing with the enum itself takes longer
-_FOR_EVER = {'sec': 9223372036, 'nsec': 854775807}
-DEPTH = 10  # default depth of a topic's queue [messages]
-# What the node offers on a topic by default, as rosbag2 writes it (metadata version 9).
-_QOS = {
-    'history': 'keep_last', 'depth': DEPTH, 'reliability': 'reliable', 'durability': 'volatile',
-    'deadline': _FOR_EVER, 'lifespan': _FOR_EVER, 'liveliness': 'automatic',
-    'liveliness_lease_duration': _FOR_EVER, 'avoid_ros_namespace_conventions': False}
-
-
-def printable(path: Path | str) -> str:
-    """Return a path as text that can be printed anywhere; on Linux a name may be any bytes."""
-    return os.fsencode(path).decode(errors='replace')
-
-
-def plain(text: str) -> str:
-    """Return a text of a file without control characters, which a terminal would obey."""
-    return ''.join(char if char.isprintable() else ' ' for char in text)
 
 
 class Chunk:
@@ -251,61 +150,6 @@ def _bytes_of(*records):
     return builder.end()
 
 
-class _Dumper(getattr(yaml, 'CSafeDumper', yaml.SafeDumper)):  # type: ignore[misc]
-    def ignore_aliases(self, data):
-        return True
-
-
-def yaml_text(value: Any) -> str:
-    """Return a value as YAML without aliases."""
-    return yaml.dump(value, Dumper=_Dumper, sort_keys=False)
-
-
-# Names of QoS policies by their numbers in rmw, which bags of Humble and Iron have.
-_POLICIES = {
-    'history': ('system_default', 'keep_last', 'keep_all', 'unknown'),
-    'reliability': ('system_default', 'reliable', 'best_effort', 'unknown', 'best_available'),
-    'durability': ('system_default', 'transient_local', 'volatile', 'unknown', 'best_available'),
-    'liveliness': ('system_default', 'automatic', 'manual_by_node', 'manual_by_topic', 'unknown',
-                   'best_available')}
-
-
-def _qos_of(channel):
-    """Return the QoS of a channel with names of policies; none if it cannot be read."""
-    text = channel.metadata.get('offered_qos_profiles', '')
-    try:
-        profiles = yaml.safe_load(text if '&' not in text else '') or []  # & would expand
-        return [{policy: _POLICIES[policy][value] if policy in _POLICIES and (
-            isinstance(value, int)) else value for policy, value in profile.items()}
-            for profile in profiles]
-    except (yaml.YAMLError, RecursionError, ValueError, IndexError, AttributeError, TypeError):
-        return []
-
-
-def information(summary: Summary, name: str) -> dict[str, Any]:
-    """Return rosbag2's metadata (version 9) of a bag with this summary and file name."""
-    statistics = summary.statistics
-    assert statistics is not None
-    start, end = statistics.message_start_time, statistics.message_end_time
-    span = {'duration': {'nanoseconds': end - start},
-            'starting_time': {'nanoseconds_since_epoch': start},
-            'message_count': statistics.message_count}
-    types = {schema.id: schema.name for schema in summary.schemas.values()}
-    topics = [
-        {'topic_metadata': {
-            'name': channel.topic, 'type': types.get(channel.schema_id, ''),
-            'serialization_format': channel.message_encoding,
-            'offered_qos_profiles': _qos_of(channel),
-            'type_description_hash': channel.metadata.get('topic_type_hash', '')},
-         'message_count': statistics.channel_message_counts.get(channel.id, 0)}
-        for channel in summary.channels.values()]
-    return {
-        'version': 9, 'storage_identifier': 'mcap', **span,
-        'topics_with_message_count': topics, 'compression_format': '', 'compression_mode': '',
-        'relative_file_paths': [printable(name)], 'files': [{'path': printable(name), **span}],
-        'custom_data': {}, 'ros_distro': os.environ.get('ROS_DISTRO', 'jazzy')}
-
-
 FLUSH_PERIOD = 0.5       # [s] of wall time; a crash loses at most twice this
 CHUNK_SIZE = 512 * 1024  # [B] so that a day has few; none waits longer than `FLUSH_PERIOD`
 BACKLOG = 20             # chunks that may wait for the disk before `write` waits, too
@@ -352,9 +196,8 @@ class Recorder:
             ChannelRecord(id=number, topic=channel.topic, message_encoding='cdr',
                           schema_id=types.index(channel.type_name) + 1,
                           metadata={
-                              'offered_qos_profiles': yaml_text([{
-                                  **_QOS, **{policy: getattr(channel, policy) for policy in (
-                                      'depth', 'reliability', 'durability')}}]),
+                              'offered_qos_profiles': offered_qos(
+                                  channel.depth, channel.reliability, channel.durability),
                               'topic_type_hash': TYPE_HASHES[channel.type_name]})
             for number, channel in enumerate(channels, start=1)]
         records += [Metadata(name=name, metadata=values) for name, values in notes.items()]
@@ -454,58 +297,6 @@ class Recorder:
         if not ours.st_nlink:
             raise OSError('it was deleted')
         self.warning = f'{self.path} was moved; the log goes on where it is now'
-
-
-def description(scene: Scene, frames: dict[str, str]) -> bytes:
-    """Return the message with the URDF of a scene, with these names of frames."""
-    from timo_sim.scene.urdf import urdf_of
-    return pack(TEXT, {'data': urdf_of(scene.manipulator, frames)})
-
-
-class NewLog(Recorder):
-    """
-    A log of a run without a node: the same topics, and the bytes that the node writes.
-
-    `summary`, a dictionary of str, is noted at its end.
-    """
-
-    def __init__(self, path: Path | str, scene: Scene, values: dict[str, Any],
-                 node: str = '/timo_sim', **notes: str) -> None:
-        namespace = node.rpartition('/')[0]
-        channels = [Channel(node + command.name[1:], command.type_name) for command in COMMANDS]
-        self._topics: dict[str, tuple] = {}
-        self.summary: dict[str, str] = {}
-        frames = frame_names(values)
-        for output in (*scene.outputs, TRANSFORMS):
-            name = output.name
-            topic = (name if name.startswith('/') else
-                     node + name[1:] if name.startswith('~') else f'{namespace}/{name}')
-            delay = round(1e9 * scene.values[output.delay]) if output.delay else 0
-            self._topics[name] = (
-                len(channels), Serializer(output.type_name, in_frames(output.template, frames)),
-                delay, output)
-            channels.append(Channel(topic, output.type_name))
-        channels.append(Channel(f'{namespace}/{DESCRIPTION}', TEXT, durability='transient_local'))
-        super().__init__(path, channels, {START: {**start_note(node, values), **notes}})
-        self.write(len(channels) - 1, 0, 0, description(scene, frames))
-        self._frames_due, self._frames_period = 0, round(1e9 / values[TRANSFORMS.rate])
-
-    def output(self, name: str, snapshot: Any, numbers: np.ndarray) -> None:
-        """Log a message of an output, and frames where they are due; commands go to `write`."""
-        if name == 'joint_states' and snapshot.nanoseconds >= self._frames_due:
-            # A microsecond less, because times are rounded to nanoseconds.
-            self._frames_due = snapshot.nanoseconds + self._frames_period - 1000
-            self.output(TRANSFORMS.name, snapshot, TRANSFORMS.numbers(snapshot))
-        index, serialize, delay, output = self._topics[name]
-        self.write(index, snapshot.step, snapshot.nanoseconds + delay,
-                   serialize(snapshot.time, output.content(snapshot, numbers)))
-
-    def close(self) -> None:
-        """Complete the file; raise OSError if that fails, or the log has ended early."""
-        self.note(SUMMARY, self.summary)
-        super().close()
-        if self.error:
-            raise OSError(self.error)
 
 
 def create(path: Path) -> tuple[Path, BinaryIO]:

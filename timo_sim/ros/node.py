@@ -16,8 +16,8 @@ from rclpy.parameter_service import ParameterService
 from rclpy.subscription import Subscription
 from std_srvs.srv import SetBool, Trigger
 
-from timo_sim.log.write import (
-    CHANGE, change_note, DESCRIPTION, description, RESET, scene_message, start_note, TEXT)
+from timo_sim.log.new_log import DESCRIPTION, description
+from timo_sim.log.notes import CHANGE, change_note, RESET, scene_message, start_note, TEXT
 from timo_sim.ros.diagnostics import Health
 from timo_sim.ros.loop import Loop, StateError, sync_steps
 from timo_sim.ros.parameters import ParameterNode, steps_between_messages

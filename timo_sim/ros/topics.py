@@ -19,7 +19,9 @@ from rclpy.qos import DurabilityPolicy, QoSProfile
 from rclpy.serialization import deserialize_message, serialize_message
 from rclpy.subscription import Subscription
 
-from timo_sim.log.write import Channel, DEPTH, names_note, Recorder, START, SUMMARY
+from timo_sim.log.notes import names_note, START, SUMMARY
+from timo_sim.log.rosbag2 import DEPTH
+from timo_sim.log.write import Channel, Recorder
 from timo_sim.ros.private import take
 from timo_sim.simulation.snapshot import Snapshot
 from timo_sim.topics.cdr import Serializer

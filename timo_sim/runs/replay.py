@@ -16,9 +16,10 @@ from typing import Any
 import numpy as np
 from tqdm import tqdm
 
+from timo_sim.log.new_log import NewLog
+from timo_sim.log.notes import CHANGE, change_note, environment_differences, plain, RESET
 from timo_sim.log.read import LogError
 from timo_sim.log.tables import Recording
-from timo_sim.log.write import CHANGE, change_note, NewLog, environment_differences, plain, RESET
 from timo_sim.runs.simulate import resolve
 from timo_sim.runs.run import Run
 from timo_sim.scene.parameters import (

@@ -256,8 +256,8 @@ class Run(MotionFields, PointsOfArm):
         `*.csv` is a table. Existing logs are never overwritten; `_1`, `_2`, ... is appended. An
         existing table is a LogError.
         """
+        from timo_sim.log.new_log import NewLog
         from timo_sim.log.tables import check_table, write_table
-        from timo_sim.log.write import NewLog
         path = Path(path)
         if path.suffix != '.mcap':
             check_table(path, also='.mcap, ')
