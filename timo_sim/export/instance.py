@@ -14,7 +14,8 @@ from typing import Annotated, NamedTuple
 import numpy as np
 
 from timo_sim.compiled.entry import entry_point
-from timo_sim.compiled.functions import Array, Constants, floor, square_root, strict, WIDTH
+from timo_sim.compiled.functions import (
+    Array, Constants, floor, inner, square_root, strict, WIDTH)
 from timo_sim.model.functions import (
     accelerate, copy, coulomb, effort, energy, linear_part_is_valid, motor_effort, motor_torque,
     sincos)
@@ -174,8 +175,8 @@ def prepare(loads, actuators, instance, inputs):
         for column in range(LOADS):
             out[0, row, column] = 0.0
     add_scene_loads(
-        loads.step, loads.harmonics, len(loads.harmonics), loads.tables, len(loads.tables),
-        loads.knots, loads.drive, len(loads.drive), number, 1, out, instance.sines)
+        loads.step, loads.harmonics, len(loads.harmonics), loads.curves, len(loads.curves),
+        loads.pieces, number, 1, out, instance.sines)
     add_commands(actuators, inputs, number, 1, out)
     copy(instance.state, instance.before)
     copy(instance.friction, instance.friction_before)
@@ -333,6 +334,28 @@ _FRICTION = _LIMITS + 2 * LOADS
 SAVED = _FRICTION + MEMORY
 
 
+@inner
+def _exchange(array, values, begin, saving):
+    for k in range(len(array)):
+        if saving:
+            values[begin + k] = array[k]
+        else:
+            array[k] = values[begin + k]
+
+
+@inner
+def _exchange_all(actuators, instance, values, saving):
+    """Save all arrays, or restore them."""
+    _exchange(instance.inputs, values, 4, saving)
+    _exchange(actuators.goal, values, 4 + LOADS, saving)
+    _exchange(actuators.origin, values, 4 + 2 * LOADS, saving)
+    _exchange(instance.load, values, 4 + 3 * LOADS, saving)
+    _exchange(actuators.limit, values, _LIMITS, saving)
+    _exchange(actuators.rate, values, _LIMITS + LOADS, saving)
+    _exchange(instance.friction, values, _FRICTION, saving)
+    _exchange(instance.state, values, SAVED, saving)
+
+
 @entry_point(actuators=Constants(), instance=Constants(), values=Array((None,)))
 def get_state(actuators, instance, values):
     """Write what `set_state` takes."""
@@ -340,17 +363,7 @@ def get_state(actuators, instance, values):
     values[1] = 1.0 * actuators.since[0]
     values[2] = 1.0 * instance.mark[LOST]
     values[3] = instance.error[0]
-    for k in range(LOADS):
-        values[4 + k] = instance.inputs[k]
-        values[4 + LOADS + k] = actuators.goal[k]
-        values[4 + 2 * LOADS + k] = actuators.origin[k]
-        values[4 + 3 * LOADS + k] = instance.load[k]
-        values[_LIMITS + k] = actuators.limit[k]
-        values[_LIMITS + LOADS + k] = actuators.rate[k]
-    for k in range(len(instance.friction)):
-        values[_FRICTION + k] = instance.friction[k]
-    for k in range(len(instance.state)):
-        values[SAVED + k] = instance.state[k]
+    _exchange_all(actuators, instance, values, True)
     return _OK
 
 
@@ -386,15 +399,5 @@ def set_state(actuators, instance, values):
     instance.mark[KNOWN] = 0
     instance.mark[PART] = 0
     instance.error[0] = values[3]
-    for k in range(LOADS):
-        instance.inputs[k] = values[4 + k]
-        actuators.goal[k] = values[4 + LOADS + k]
-        actuators.origin[k] = values[4 + 2 * LOADS + k]
-        instance.load[k] = values[4 + 3 * LOADS + k]
-        actuators.limit[k] = values[_LIMITS + k]
-        actuators.rate[k] = values[_LIMITS + LOADS + k]
-    for k in range(len(instance.friction)):
-        instance.friction[k] = values[_FRICTION + k]
-    for k in range(len(instance.state)):
-        instance.state[k] = values[SAVED + k]
+    _exchange_all(actuators, instance, values, False)
     return _OK

@@ -48,7 +48,7 @@ import numpy as np
 from numpy.typing import ArrayLike
 
 from timo_sim.model.differences import differences
-from timo_sim.model.exact_code import BAND, BANDS, SECTORS, Tables
+from timo_sim.model.exact_code import BAND, band_of, BANDS, sector_of, SECTORS, Tables
 from timo_sim.model.formulation import Formulation, Points
 from timo_sim.model.layout import ANGLE, LOADS, SPEED
 
@@ -222,11 +222,10 @@ class Exact(Formulation):
         angle = load[..., ANGLE] if self.driven else state[..., axes]
         speed = load[..., SPEED] if self.driven else state[..., state.shape[-1] // 2 + axes]
         good = np.isfinite(angle) & np.isfinite(speed)  # of a run that diverges any will do
-        found = np.floor(np.where(good, angle, 0.0) * (SECTORS / np.pi)) % SECTORS
+        found = sector_of(np.where(good, angle, 0.0))
         if self.axial:
             bands = self.tables.bands_per_speed if bands_per_speed is None else bands_per_speed
-            found += SECTORS * (BANDS + np.clip(np.floor(
-                np.where(good, speed, 0.0) * bands), -BANDS, BANDS - 1))
+            found = found + SECTORS * band_of(np.where(good, speed, 0.0), bands)
         return found.astype(int) if state.ndim > 1 else int(found)
 
     def in_sector(self, number: int) -> tuple[Any, np.ndarray]:

@@ -19,7 +19,7 @@ import numpy as np
 
 from timo_sim.compiled.constants import local_arrays
 from timo_sim.compiled.functions import (
-    as_vectors, chain, declare, floor, inner, local, some, sum_of, value_of,
+    as_vectors, chain, declare, floor, inner, local, some, sum_of, value_of, where,
     with_derivatives, without_derivatives)
 from timo_sim.model import functions
 from timo_sim.model.functions import sincos
@@ -536,24 +536,17 @@ def _joint_place(tables, state, load, joint):
                 found += tables.gear[n, PER_COORDINATE] * state[
                     axes + _gear_place(tables) - driven]
     else:
-        rotation, shear = as_vectors(tables.rotation), as_vectors(tables.shear)
-        to_centre, stretch = as_vectors(tables.to_centre), as_vectors(tables.stretch)
+        rotation, to_centre = as_vectors(tables.rotation), as_vectors(tables.to_centre)
         centre = 0.0
         for j in range(len(to_centre)):
-            phi, gamma = 0.0, 0.0
+            phi, gamma, strain = _fields(tables, state, axes - driven, driven, j)
             if driven:
-                phi, gamma = load[ANGLE] * rotation[0, j], load[ANGLE] * shear[0, j]
-            for i in range(driven, count):
-                phi += state[axes + i - driven] * rotation[i, j]
-                gamma += state[axes + i - driven] * shear[i, j]
-            along = 1.0
-            for i in range(count - len(stretch), count):
-                along += state[axes + i - driven] * stretch[i - count + len(stretch), j]
+                phi += load[ANGLE] * rotation[0, j]
             sine, cosine = sincos(phi)
             if joint == 0:
-                centre += to_centre[j] * (along * cosine - gamma * sine)
+                centre += to_centre[j] * ((1.0 + strain) * cosine - gamma * sine)
             else:
-                centre += to_centre[j] * (along * sine + gamma * cosine)
+                centre += to_centre[j] * ((1.0 + strain) * sine + gamma * cosine)
         for k in range(axes):
             if tables.axes[k] == joint:
                 found = state[k] - sum_of(centre, tables.to_centre)
@@ -866,29 +859,29 @@ BANDS, BAND = 32, 0.25
 
 
 @inner
-def _sector(angle):
+def sector_of(angle):
     """Return the number of the sector in which a shaft angle lies."""
     number = floor(angle * (SECTORS / math.pi))
     return number - SECTORS * floor(number / SECTORS)
 
 
 @inner
-def _band(tables, state, load):
-    """Return the number of the band in which the speed lies."""
-    if len(tables.of_band) == 0:
-        return 0
-    driven = len(tables.rotation) > len(tables.straight)
-    speed = load[SPEED] if driven else state[half_length(tables) + len(tables.axes)]
-    return min(max(floor(speed * tables.bands_per_speed), -BANDS), BANDS - 1) + BANDS
+def band_of(speed, bands_per_speed):
+    """Return the number of the band in which a speed lies."""
+    number = floor(speed * bands_per_speed)
+    return BANDS + where(number < -BANDS, -BANDS, where(number >= BANDS, BANDS - 1, number))
 
 
 @functions.linear_part_is_valid.of(Tables)
 def _linear_part_is_valid(tables, state, load):
     if tables.sector < 0:
         return True
-    driven = len(tables.rotation) > len(tables.straight)
-    number = _sector(load[ANGLE] if driven else state[len(tables.axes)])
-    return number + SECTORS * _band(tables, state, load) == tables.sector
+    driven, axes = len(tables.rotation) > len(tables.straight), len(tables.axes)
+    number = sector_of(load[ANGLE] if driven else state[axes])
+    if len(tables.of_band):
+        number += SECTORS * band_of(load[SPEED] if driven else state[half_length(tables) + axes],
+                                    tables.bands_per_speed)
+    return number == tables.sector
 
 
 @inner

@@ -19,7 +19,7 @@ import numpy as np
 from timo_sim.compiled.functions import WIDTH
 from timo_sim.model.layout import ACCELERATION, ANGLE, INPUTS, LOADS, STEP_LOADS
 from timo_sim.scene.parameters import ParameterError, same_length, short, whole_ratio
-from timo_sim.steps.loads import add_scene_loads, NEAR, POINT, SceneLoads
+from timo_sim.steps.loads import add_scene_loads, NEAR, PIECE, SceneLoads
 
 # Columns of the inputs that a scene may prescribe over time, by name.
 CHANNELS = {each.name: column for column, each in enumerate(INPUTS) if each.prescribed}
@@ -38,6 +38,14 @@ class Harmonic:
         return ()
 
 
+def _pieces(time, *coefficients):
+    """Return pieces of curves that begin at times [s], with polynomials, constant first."""
+    found = np.zeros((len(time), PIECE))
+    for k, each in enumerate((time, *coefficients)):
+        found[:, k] = each
+    return found
+
+
 @dataclass(frozen=True)
 class Piecewise:
     """0 before time[0] [s], then value[i] until time[i + 1]; the last value holds for ever."""
@@ -50,9 +58,9 @@ class Piecewise:
         return self.time
 
     def rows(self, step: float) -> np.ndarray:
-        """Return times for steps of this size, twice, and values before and after, (2 n, 2)."""
-        times = np.rint(np.array(self.time) / step) * step
-        return np.column_stack([np.repeat(times, 2), np.repeat([0.0, *self.value], 2)[1:-1]])
+        """Return its pieces for steps of this size, see `SceneLoads`."""
+        time = on_boundaries(self.time, step)
+        return _pieces([time[0], *time], [0.0, *self.value])
 
 
 @dataclass(frozen=True)
@@ -67,8 +75,12 @@ class Table:
         return tuple(a for a, b in zip(self.time, self.time[1:]) if a == b)
 
     def rows(self, step: float) -> np.ndarray:
-        """Return times for steps of this size, and values, shape (n, 2)."""
-        return np.column_stack([on_boundaries(self.time, step), self.value])
+        """Return its pieces for steps of this size, see `SceneLoads`."""
+        time = on_boundaries(self.time, step)
+        length = np.diff(time)
+        slope = np.divide(np.diff(self.value), length, out=np.zeros(len(length)),
+                          where=length > 0.0)
+        return _pieces([time[0], *time], [self.value[0], *self.value], [0.0, *slope, 0.0])
 
 
 @dataclass(frozen=True)
@@ -85,16 +97,11 @@ class Drive:
     acceleration: tuple  # [rad/s2], the last 0
 
     def rows(self, step: float) -> np.ndarray:
-        """
-        Return times and polynomials for steps of this size, shape (n, 7).
-
-        From each time on the angle is a polynomial of the time since, constant first.
-        """
+        """Return its pieces for steps of this size, see `SceneLoads`."""
         time = on_boundaries(self.time, step)
         angle, speed, half = np.array([self.angle, self.speed, self.acceleration]) * [
             [1.0], [1.0], [0.5]]
-        found = np.zeros((len(time), POINT))
-        found[:, 0], found[:, 1], found[:, 2], found[:, 3] = time, angle, speed, half
+        found = _pieces(time, angle, speed, half)
         h = np.diff(time)
         # What the parabola of a point lacks at the next one, times powers of h.
         lacking = np.stack([
@@ -146,30 +153,28 @@ class Load:
         loads[:] = 0.0
         rows = self.rows(step)
         add_scene_loads(
-            step, rows.harmonics, len(rows.harmonics), rows.tables, len(rows.tables), rows.knots,
-            rows.drive, len(rows.drive), first, count, loads, np.empty(WIDTH))
+            step, rows.harmonics, len(rows.harmonics), rows.curves, len(rows.curves), rows.pieces,
+            first, count, loads, np.empty(WIDTH))
         return loads
 
     def rows(self, step: float) -> SceneLoads:
         """Return the constants of its terms for steps of a size [s]; they are made once."""
         known = self.__dict__.setdefault('_rows', {})
         if step not in known:
-            harmonics: list[Any] = []
-            tables: list[Any] = []
-            knots = [np.empty((0, 2))]
-            for channel, terms in self.terms.items():
-                for term in terms:
-                    if isinstance(term, Harmonic):
-                        harmonics.append((CHANNELS[channel], term.amplitude, term.frequency,
-                                          np.fmod(term.phase, 2.0 * np.pi)))
-                        continue
-                    begin = sum(map(len, knots))
-                    knots.append(term.rows(step))
-                    tables.append((CHANNELS[channel], begin, begin + len(knots[-1])))
+            harmonics, curves, pieces = [], [], [np.empty((0, PIECE))]
+            every = [(CHANNELS[channel], term) for channel, terms in self.terms.items()
+                     for term in terms] + [(ANGLE, self.drive)] * (self.drive is not None)
+            for column, term in every:
+                if isinstance(term, Harmonic):
+                    harmonics.append((column, term.amplitude, term.frequency,
+                                      np.fmod(term.phase, 2.0 * np.pi)))
+                else:
+                    begin = sum(map(len, pieces))
+                    pieces.append(term.rows(step))
+                    curves.append((column, begin, begin + len(pieces[-1])))
             known[step] = SceneLoads(
                 step, np.array(harmonics, dtype=float).reshape(-1, 4),
-                np.array(tables, dtype=float).reshape(-1, 3), np.concatenate(knots),
-                np.empty((0, POINT)) if self.drive is None else self.drive.rows(step))
+                np.array(curves, dtype=float).reshape(-1, 3), np.concatenate(pieces))
         return known[step]
 
 

@@ -31,26 +31,24 @@ from timo_sim.model.layout import (
     VOLTAGE)
 
 NEAR = 1e-6  # [steps] distance from a step boundary within which a position counts as on it
-POINT = 7    # numbers of a point of a drive
+PIECE = 7    # numbers of a piece of a curve
 
 
 class SceneLoads(NamedTuple):
     """
     Loads of a scene over time, for steps of one size; columns are those of a load.
 
-    The knots of a table are those from its first to before its last, which follow its column in
-    `tables`.
+    A curve is made of the pieces from its first to before its last, which follow its column in
+    `curves`. That of an angle gives its speed and acceleration, too.
     """
 
     step: float  # [s]
     # Column, amplitude, frequency [Hz] and phase [rad] of amplitude sin(2 pi frequency t + phase).
     harmonics: Annotated[np.ndarray, 'harmonics', 4]
-    tables: Annotated[np.ndarray, 'tables', 3]
-    # Times [s] and values, linear in between; a repeated time is a jump. Here and in `drive`,
-    # times near the boundary of two steps must be exactly on it.
-    knots: Annotated[np.ndarray, 'knots', 2]
-    # Times [s], and the quintic polynomial of the time since, constant first, which is the angle.
-    drive: Annotated[np.ndarray, 'points', POINT]
+    curves: Annotated[np.ndarray, 'curves', 3]
+    # Times [s] from which on a curve is a quintic polynomial of the time since, constant first; a
+    # repeated time is a jump. Times near the boundary of two steps must be exactly on it.
+    pieces: Annotated[np.ndarray, 'pieces', PIECE]
 
 
 class Actuators(NamedTuple):
@@ -73,20 +71,17 @@ class Actuators(NamedTuple):
 # Loads over time.
 
 @entry_point(fast=False, step=float, harmonics=Array((None, 4)), harmonic_count=int,
-             tables=Array((None, 3)), table_count=int, knots=Array((None, 2)),
-             drive=Array((None, POINT)), point_count=int, first=int, count=int,
-             out=Array((None, STEP_LOADS, LOADS)), room=Array((WIDTH,)))
-def add_scene_loads(step, harmonics, harmonic_count, tables, table_count, knots, drive,
-                    point_count, first, count, out, room):
+             curves=Array((None, 3)), curve_count=int, pieces=Array((None, PIECE)), first=int,
+             count=int, out=Array((None, STEP_LOADS, LOADS)), room=Array((WIDTH,)))
+def add_scene_loads(step, harmonics, harmonic_count, curves, curve_count, pieces, first, count,
+                    out, room):
     """Add the loads of `SceneLoads` to those of `count` steps, from step `first` on."""
     for i in range(harmonic_count):
         _add_harmonic(int(harmonics[i, 0]), harmonics[i, 1], harmonics[i, 2], harmonics[i, 3],
                       step, first, count, out, room)
-    for i in range(table_count):
-        _add_table(int(tables[i, 0]), knots, int(tables[i, 1]), int(tables[i, 2]), step, first,
+    for i in range(curve_count):
+        _add_curve(int(curves[i, 0]), pieces, int(curves[i, 1]), int(curves[i, 2]), step, first,
                    count, out)
-    if point_count > 0:
-        _add_drive(drive, point_count, step, first, count, out)
 
 
 @strict
@@ -110,105 +105,66 @@ def _add_harmonic(column, amplitude, frequency, phase, step, first, count, out, 
 
 
 @strict
-def _first_after(rows, begin, end, value):
-    """Return the first of some rows, in ascending order, that begins with more than a value."""
-    while begin < end:
-        middle = (begin + end) // 2
-        if rows[middle, 0] <= value:
-            begin = middle + 1
+def _piece_at(pieces, begin, end, time):
+    """Return the last of some pieces that has begun at a time, or the first."""
+    low, high = begin + 1, end
+    while low < high:
+        middle = (low + high) // 2
+        if pieces[middle, 0] <= time:
+            low = middle + 1
         else:
-            end = middle
-    return begin
+            high = middle
+    return low - 1
 
 
 @strict
-def _add_table(column, knots, begin, end, step, first, count, out):
-    """Add what is linear between the knots from `begin` to `end`, and constant outside."""
-    following = _first_after(knots, begin, end, first * step)
+def _add_curve(column, pieces, begin, end, step, first, count, out):
+    """Add a curve of the pieces from `begin` to `end`."""
+    piece = _piece_at(pieces, begin, end, first * step)
     for k in range(count):
         start, stop = (first + k) * step, (first + k + 1) * step
-        while following < end and knots[following, 0] <= start:
-            following += 1
-        last, low = following, start
-        # From knot to knot, if there are any inside.
-        while last < end and knots[last, 0] < stop:
-            _add_piece(column, knots, begin, end, last, low, knots[last, 0], start, step, out[k])
-            low = knots[last, 0]
+        while piece + 1 < end and pieces[piece + 1, 0] <= start:
+            piece += 1
+        last, low = piece, start
+        # From piece to piece, if some begin inside.
+        while last + 1 < end and pieces[last + 1, 0] < stop:
+            _add_integrals(column, pieces, last, low, pieces[last + 1, 0], start, step, out[k])
             last += 1
-        if last > following:
-            _add_piece(column, knots, begin, end, last, low, stop, start, step, out[k])
+            low = pieces[last, 0]
+        if last > piece:
+            _add_integrals(column, pieces, last, low, stop, start, step, out[k])
         else:
             for stage in range(STAGES):
-                time = 0.5 * (2 * (first + k) + stage) * step
-                out[k, stage, column] += _between(knots, begin, end, last, time)
-        out[k, AFTER, column] += _between(knots, begin, end, last, stop)
-
-
-@strict
-def _between(knots, begin, end, following, time):
-    """Return the value at a time between two knots, or beyond the last or before the first."""
-    low, high = max(following - 1, begin), min(following, end - 1)
-    span = knots[high, 0] - knots[low, 0]
-    share = 0.0
-    if span > 0.0:
-        share = (time - knots[low, 0]) / span
-    return knots[low, 1] + share * (knots[high, 1] - knots[low, 1])
-
-
-@strict
-def _add_piece(column, knots, begin, end, following, low, high, start, step, out):
-    for node in range(_NODES):
-        time = low + (high - low) * _place(node)
-        value = _share(node) * (high - low) / step * _between(knots, begin, end, following, time)
-        for stage in range(STAGES):
-            out[stage, column] += value * _seen(stage, (time - start) / step)
-
-
-@strict
-def _add_drive(points, length, step, first, count, out):
-    """Add angle, speed and acceleration of a drive."""
-    point = _first_after(points, 1, length, first * step) - 1
-    for k in range(count):
-        start, stop = (first + k) * step, (first + k + 1) * step
-        while point + 1 < length and points[point + 1, 0] <= start:
-            point += 1
-        last, low = point, start
-        while last + 1 < length and points[last + 1, 0] < stop:
-            _add_motions(points, last, low, points[last + 1, 0], start, step, out[k])
-            last += 1
-            low = points[last, 0]
-        if last > point:
-            _add_motions(points, last, low, stop, start, step, out[k])
-        else:
-            for stage in range(STAGES):
-                _add_motion(points, last, 0.5 * (2 * (first + k) + stage) * step, 1.0,
+                _add_values(column, pieces, last, 0.5 * (2 * (first + k) + stage) * step, 1.0,
                             out[k, stage])
-        _add_motion(points, last, stop, 1.0, out[k, AFTER])
+        _add_values(column, pieces, last, stop, 1.0, out[k, AFTER])
 
 
 @strict
-def _add_motions(points, point, low, high, start, step, out):
+def _add_integrals(column, pieces, piece, low, high, start, step, out):
+    """Add what the stages of a step see of a piece between two times."""
     for node in range(_NODES):
         time = low + (high - low) * _place(node)
         share = _share(node) * (high - low) / step
         for stage in range(STAGES):
-            _add_motion(points, point, time, share * _seen(stage, (time - start) / step),
+            _add_values(column, pieces, piece, time, share * _seen(stage, (time - start) / step),
                         out[stage])
 
 
 @strict
-def _add_motion(points, point, time, factor, out):
-    """Add angle, speed and acceleration, times a factor."""
-    since = time - points[point, 0]
-    angle, speed, half_acceleration = 0.0, 0.0, 0.0
-    for j in range(POINT - 1):
+def _add_values(column, pieces, piece, time, factor, out):
+    """Add the value of a piece at a time, and the derivatives of an angle, times a factor."""
+    since = time - pieces[piece, 0]
+    value, slope, half_bend = 0.0, 0.0, 0.0
+    for j in range(PIECE - 1):
         # Horner's scheme, with the halves of second derivatives.
-        half_acceleration = half_acceleration * since + speed
-        speed = speed * since + angle
-        angle = angle * since + points[point, POINT - 1 - j]
-    out[ANGLE] += factor * angle
-    out[SPEED] += factor * speed
-    out[ACCELERATION] += factor * (2.0 * half_acceleration)
+        half_bend = half_bend * since + slope
+        slope = slope * since + value
+        value = value * since + pieces[piece, PIECE - 1 - j]
+    out[column] += factor * value
+    if column == ANGLE:
+        out[SPEED] += factor * slope
+        out[ACCELERATION] += factor * (2.0 * half_bend)
 
 
 # What a stage sees is the integral of the load over the step with the weight `_seen`. It is found
