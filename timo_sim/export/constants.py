@@ -5,8 +5,6 @@
 
 from typing import NamedTuple
 
-import numpy as np
-
 from timo_sim.compiled.constants import pack, Packed
 from timo_sim.export.instance import Plant
 from timo_sim.model.layout import INPUTS
@@ -124,21 +122,10 @@ def _limits(inputs, values):
 def plant_of(simulator: Simulator) -> Packed:
     """Return the constants of a model and its start."""
     scene, model = simulator.scene, simulator.model
-    body = model.manipulator
-    return pack(Plant._make([
-        scene.step, model.tip_point.lever[0], MOST_BENT * model.manipulator.arm.length,
-        model.tip_travel[3:], model.points.rotation[:, -1], model.points.rotation, model.gravity,
-        model.linear, model.constrained, body.shaft_inertia, body.base_mass, body.hub_radius,
-        body.shaft_friction,
-        np.array([model.gear.inertia * model.rotor] if model.gear else [])
-        .reshape(-1, model.size // 2), *_strains(model),
-        model.state(scene.initial_motion(model)), simulator.load,
-        simulator.integration.memory.copy()]))
-
-
-def _strains(model):
-    # Strain of the outer fibre at the root, linear in moment, axial force and modal rates.
-    half, none = model.size // 2, np.zeros(1)
-    still, one = np.zeros((1, model.size)), np.ones(1)
-    by_rates = model.strain(np.eye(model.size)[half + 3:], 0.0, none)
-    return (model.strain(still, 0.0, one)[0], model.strain(still, 0.0, none, one)[0], by_rates)
+    return pack(Plant(
+        step=scene.step, length=model.tip_point.lever[0],
+        most_bent=MOST_BENT * model.manipulator.arm.length, travel=model.tip_travel[3:],
+        tip_rotation=model.points.rotation[:, -1], points_rotation=model.points.rotation,
+        gravity=model.gravity, linear=model.linear,
+        start=model.state(scene.initial_motion(model)), first_load=simulator.load,
+        first_friction=simulator.integration.memory.copy()))

@@ -17,7 +17,7 @@ from timo_sim.compiled.entry import entry_point
 from timo_sim.compiled.functions import (
     Array, Constants, floor, inner, square_root, strict, WIDTH)
 from timo_sim.model.functions import (
-    accelerate, copy, coulomb, effort, energy, linear_part_is_valid, motor_effort, motor_torque,
+    accelerate, copy, effort, energy, linear_part_is_valid, motor_effort, root_forces, root_strain,
     sincos)
 from timo_sim.model.layout import (
     AFTER, FORCE_I, FORCE_II, FORCE_X, FORCE_Y, LOADS, MOTOR_FRICTION, START, STEP_LOADS)
@@ -85,17 +85,6 @@ class Plant(NamedTuple):
     points_rotation: Annotated[np.ndarray, 'modes', 'points']  # of sections by each
     gravity: Annotated[np.ndarray, 2]  # along world x and y [m/s2]
     linear: Annotated[np.ndarray, 'state', 'state']  # L of the straight arm
-    constrained: Annotated[np.ndarray, int, 3]  # whether carrier x, y and shaft are
-    shaft_inertia: float  # [kg m2]
-    base_mass: float      # of carrier and motor [kg]
-    hub_radius: float     # [m]
-    shaft_friction: float  # viscous [N m s/rad]
-    # What accelerations of all coordinates need of torque at the rotor of an elastic gear.
-    rotor: Annotated[np.ndarray, 'gears', 'accelerations']
-    # Strain of the outer fibre at the root per moment and axial force there, and per modal rate.
-    strain_of_moment: float
-    strain_of_force: float  # 0 if the arm does not stretch
-    strain_of_rates: Annotated[np.ndarray, 'modes']
     start: Annotated[np.ndarray, 'state']  # the initial state
     first_load: Annotated[np.ndarray, LOADS]  # the scene's own at its beginning
     first_friction: Annotated[np.ndarray, MEMORY]  # what the first step begins with
@@ -249,40 +238,28 @@ def set_rates(tables, plant, instance):
     return _OK
 
 
-@entry_point(tables=Constants(), plant=Constants(), instance=Constants())
-def set_forces(tables, plant, instance):
+@entry_point(tables=Constants(), plant=Constants(), root=Constants(), instance=Constants())
+def set_forces(tables, plant, root, instance):
     """Write strain, efforts and energy to the outputs."""
     load, motion, accelerations = instance.load, instance.motion, instance.accelerations
     out, half, needed = instance.outputs, len(motion) // 2, instance.loads[0, START]
-    root = accelerations[2] * plant.shaft_inertia
     for axis in range(2):
         accelerations[axis] -= plant.gravity[axis]
     effort(tables, motion, accelerations, load, needed)
     sine, cosine = sincos(motion[2])
     out[16] = load[FORCE_X] + cosine * load[FORCE_I] - sine * load[FORCE_II]
     out[17] = load[FORCE_Y] + sine * load[FORCE_I] + cosine * load[FORCE_II]
-    speed = turning = motion[half + 2]
-    for n in range(len(plant.rotor)):
-        turning = 0.0
+    motor_speed = motion[half + 2]
+    for n in range(len(root.rotor)):
+        motor_speed = 0.0
         for i in range(half):
-            root += plant.rotor[n, i] * accelerations[i]
-            turning += plant.rotor[n, i] / plant.rotor[n, 2] * motion[half + i]
-    out[18] = motor_effort(tables, load, turning)
-    if plant.constrained[2] != 0 or len(plant.rotor) != 0:
-        root -= needed[2]
-    else:
-        root += (plant.shaft_friction * speed + coulomb(tables, 1, speed)
-                 - motor_torque(tables, instance.acting, speed))
+            motor_speed += root.rotor[n, i] / root.rotor[n, 2] * motion[half + i]
+    out[18] = motor_effort(tables, load, motor_speed)
     for joint in range(3):
-        if plant.constrained[joint] != 0:
+        if root.constrained[joint] != 0:
             out[16 + joint] = needed[joint] - out[16 + joint]
-    # Axial force at the root along (x, y); the moment there is less by that of the shear force.
-    x = plant.base_mass * accelerations[0] - needed[0]
-    y = plant.base_mass * accelerations[1] - needed[1]
-    root -= plant.hub_radius * (cosine * y - sine * x)
-    out[15] = plant.strain_of_moment * root + plant.strain_of_force * (cosine * x + sine * y)
-    for n in range(len(plant.travel)):
-        out[15] += plant.strain_of_rates[n] * motion[half + 3 + n]
+    force, moment = root_forces(tables, root, motion, accelerations, needed, instance.acting)
+    out[15] = root_strain(root, motion, force, moment)
     out[19] = energy(tables, motion, plant.gravity)
     instance.mark[KNOWN] = 2
     return _OK

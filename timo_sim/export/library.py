@@ -56,6 +56,7 @@ class _Model:
             range(model.sectors) if model.sectors else [None])))]
         self.plant, self.loads = plant_of(simulator), pack(scene.load.rows(scene.step))
         self.tables, self.actuators = model.packed, Actuators(scene.values).packed
+        self.root = pack(model.root)
         self.bristles = simulator.integration.bristles
         # What steps are differentiated by.
         self.differentiate, self.places = entry_for(model), model.free_places

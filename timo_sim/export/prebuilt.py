@@ -47,6 +47,7 @@ _KINDS: dict[str, list[type]] = {
     'bristles': [bristles.Bristles],
     'lane': [lanes.Lane], 'plan': [lanes.Plan],
     'loads': [loads.SceneLoads], 'actuators': [loads.Actuators], 'plant': [instance.Plant],
+    'root': [functions.Root],
     'instance': [instance.Instance]}
 
 

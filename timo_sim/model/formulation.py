@@ -15,7 +15,7 @@ from numpy.typing import ArrayLike
 from timo_sim.compiled.constants import pack, Packed
 from timo_sim.model.bodies import Constraints, Manipulator, Quadrature
 from timo_sim.model.functions import (
-    accelerations_of, coulomb, efforts, energies, Flow, gear_torque, rate_once, tips, within)
+    accelerations_of, coulomb, efforts, energies, Flow, gear_torque, rate_once, Root, tips, within)
 from timo_sim.model.layout import LINKS, LOADS, rotate
 from timo_sim.model.modes import axial_modes, GearMode, JoinedModes, Modes, modes_of
 
@@ -368,27 +368,35 @@ class Formulation(ABC):
         """Return section rotations from the shaft, shape (n, p) [rad]. Source: paper eq. (36)."""
         return q @ points.rotation
 
-    def strain(self, motions: np.ndarray, xi: float, moment: np.ndarray | None = None,
-               tension: np.ndarray | float = 0.0) -> np.ndarray:
+    def strain(self, motions: np.ndarray, xi: float) -> np.ndarray:
         """
         Return the strain of the outer fibre of a section, axial strain included, shape (n,).
 
-        `xi` is its distance from the root along the undeformed arm [m]. The strain follows from
-        the bending moment [N m] and the axial force [N] there, those of modal damping included,
-        shape (n,); or from the strains of the modes, which converge more slowly with their number.
-        An arm without axial modes has no axial strain.
+        `xi` is its distance from the root along the undeformed arm [m]. It is that of the modes;
+        that at the root by forces, `functions.root_strain`, converges faster with their number. An
+        arm without axial modes has no axial strain.
         """
-        place, modes, (q, qdot) = np.array([xi]), self.modes, self._split(motions)
-        section = self.manipulator.arm.at(place)
-        height, stiffness, axial_stiffness = (np.ravel(value)[0] for value in (
+        return self._split(motions)[0] @ self._strains(np.array([xi]))
+
+    def _strains(self, xi):
+        height = np.ravel(self.manipulator.arm.at(xi).height)[0]
+        return 0.5 * height * self.modes.curvature(xi)[0] + self.modes.stretch(xi)[0]
+
+    @cached_property
+    def root(self) -> Root:
+        """The constants of `functions.root_forces` and `functions.root_strain`."""
+        body, root = self.manipulator, np.zeros(1)
+        section = body.arm.at(root)
+        height, stiffness, axial_stiffness = (float(np.ravel(value)[0]) for value in (
             section.height, section.bending_stiffness, section.axial_stiffness))
-        strains = 0.5 * height * modes.curvature(place)[0] + modes.stretch(place)[0]
-        if moment is None:
-            return q @ strains
-        # Modal damping adds to moment and axial force, but not to the strain.
-        found = 0.5 * height / stiffness * moment - qdot @ (
-            strains * self.modal_damping / modes.omega**2)
-        return found + tension / axial_stiffness if self.axial else found
+        rotor = [self.gear.inertia * self.rotor] if self.gear else []
+        return Root(
+            base_mass=body.base_mass, shaft_inertia=body.shaft_inertia, hub_radius=body.hub_radius,
+            shaft_friction=body.shaft_friction, constrained=self.constrained,
+            rotor=np.reshape(rotor, (-1, self.size // 2)),
+            strain_of_moment=0.5 * height / stiffness,
+            strain_of_force=1.0 / axial_stiffness if self.axial else 0.0,
+            strain_of_rates=-self._strains(root) * self.modal_damping / self.modes.omega**2)
 
     def world(self, motions: np.ndarray, points: Points) -> np.ndarray:
         """Return the world positions of points of the centre line, shape (n, p, 2) [m]."""

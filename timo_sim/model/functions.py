@@ -126,6 +126,57 @@ def energy(tables, motion, gravity):
     """Return the energy [J], see `Formulation.energy`."""
 
 
+class Root(NamedTuple):
+    """Constants of forces and strain at the root of the arm."""
+
+    base_mass: float       # of carrier and motor [kg]
+    shaft_inertia: float   # [kg m2]
+    hub_radius: float      # [m]
+    shaft_friction: float  # viscous [N m s/rad]
+    constrained: Annotated[np.ndarray, int, 3]  # whether carrier x, y and shaft are
+    # What accelerations of all coordinates need of torque at the rotor of an elastic gear.
+    rotor: Annotated[np.ndarray, 'gears', 'accelerations']
+    # Strain of the outer fibre per moment and axial force there, and per modal rate.
+    strain_of_moment: float
+    strain_of_force: float  # 0 if the arm does not stretch
+    strain_of_rates: Annotated[np.ndarray, 'modes']
+
+
+# Python calls these two functions, too, with arrays for many motions, (..., n).
+
+@inner
+def root_forces(tables, root, motion, accelerations, needed, load):
+    """
+    Return axial force [N] and moment [N m] in the arm at its root.
+
+    They follow from the balance of carrier and shaft (T45), (T51): `accelerations`, less gravity,
+    need what `effort` writes, and the load acts, dry friction included.
+    """
+    half, moment = len(motion) // 2, root.shaft_inertia * accelerations[2]
+    speed = motion[half + 2]
+    for n in range(len(root.rotor)):
+        for i in range(half):
+            moment = moment + root.rotor[n, i] * accelerations[i]
+    if root.constrained[2] != 0 or len(root.rotor) != 0:
+        moment = moment - needed[2]
+    else:
+        moment = moment + (root.shaft_friction * speed + coulomb(tables, 1, speed)
+                           - motor_torque(tables, load, speed))
+    x = root.base_mass * accelerations[0] - needed[0]
+    y = root.base_mass * accelerations[1] - needed[1]
+    sine, cosine = sincos(motion[2])
+    return cosine * x + sine * y, moment - root.hub_radius * (cosine * y - sine * x)
+
+
+@inner
+def root_strain(root, motion, force, moment):
+    """Return the strain of the outer fibre; modal damping adds to the forces, but not to it."""
+    strain, half = root.strain_of_moment * moment + root.strain_of_force * force, len(motion) // 2
+    for n in range(len(root.strain_of_rates)):
+        strain = strain + root.strain_of_rates[n] * motion[half + 3 + n]
+    return strain
+
+
 class Flow(NamedTuple):
     """Constants of `accelerate`."""
 

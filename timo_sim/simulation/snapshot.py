@@ -13,6 +13,7 @@ from typing import Any
 import numpy as np
 
 from timo_sim.model.formulation import Formulation
+from timo_sim.model.functions import root_forces, root_strain
 from timo_sim.model.layout import (
     FORCE_I, FORCE_II, FORCE_X, FORCE_Y, Motion, MOTOR_FRICTION, place, rotate, TORQUE)
 from timo_sim.scene.scene import Scene
@@ -58,30 +59,20 @@ class Joints:
 
     @property
     def root_moment(self) -> np.ndarray:
-        """Moment in the arm at its root by the balance of the shaft (T45), (T51), (n,) [N m]."""
-        model = self.model
-        if model.gear:  # it turns the shaft by what the rotor leaves of all torques
-            torque = self._needed[:, 2] - model.gear.inertia * (self._accelerations @ model.rotor)
-        elif model.constrained[2]:
-            torque = self._needed[:, 2]
-        else:
-            torque = self._applied[:, 2] - model.friction(self.motions)[:, 2]
-        moment = model.manipulator.shaft_inertia * self._accelerations[:, 2] - torque
-        if radius := model.manipulator.hub_radius:
-            moment = moment - radius * self._root_forces[1]
-        return moment
+        """Moment in the arm at its root, (n,) [N m]."""
+        return self._root_forces[1]
 
-    @property
+    @cached_property
     def _root_forces(self):
-        # Axial and shear force P(0), V(0) [N], (n,) each: what the carrier's own balance lacks.
-        x, y = (self.model.manipulator.base_mass * (
-            self._accelerations[:, :2] - self.model.gravity) - self._needed[:, :2]).T
-        return rotate(-self.motions[:, 2], x, y)
+        model, specific = self.model, self._accelerations.T.copy()
+        specific[:2] -= model.gravity[:, np.newaxis]
+        return root_forces(model.tables, model.root, self.motions.T, specific, self._needed.T,
+                           self._loads.T)
 
     @property
     def root_strain(self) -> np.ndarray:
         """Strain of the outer fibre at the root, axial strain included, shape (n,)."""
-        return self.model.strain(self.motions, 0.0, self.root_moment, self._root_forces[0])
+        return root_strain(self.model.root, self.motions.T, *self._root_forces)
 
     @property
     def tip_acceleration(self) -> np.ndarray:
