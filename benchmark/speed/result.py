@@ -139,5 +139,5 @@ def rows(quick):
     """Return rows (line, processor time, remark)."""
     parts = (loading(), simulated(3), simulated(5), simulated(5, 0.005), varied(), from_the_file(),
              propagators(3), propagators(5), saving(quick), fitted(quick), first(quick))
-    return [(line, f'{span:.2g} s' if span >= 1.0 else f'{1e3 * span:.2g} ms', remark)
+    return [(line, f'{span:.2g} s' if span >= 0.1 else f'{1e3 * span:.2g} ms', remark)
             for part in parts for line, span, remark in part]
