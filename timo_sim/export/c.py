@@ -308,6 +308,6 @@ def _main(interface: Interface, step: float, name: str) -> str:
     # A tenth of a second or at least a step a row; a torque, where it does anything.
     torque = any(each.title == 'torque' for each in interface.inputs)
     command = ('    if (code == NAME_OK)\n'
-               '        code = name_set_input(instance, NAME_TORQUE, 1.0);') * torque
+               '        code = name_set_input(instance, NAME_TORQUE, 1.0);') if torque else ''
     return _fill(_MAIN, name, command=_fill(command, name), steps=max(1, round(0.1 / step)),
-                 under=' under a torque of 1 N m' * torque)
+                 under=' under a torque of 1 N m' if torque else '')

@@ -424,7 +424,7 @@ def _rate(tables, state, load, out):
     forces = _translate(tables, state, load, work, out)
     on_rotor, place = _rotor_torque(tables, load, work.speed), _gear_place(tables)
     torque = on_rotor - functions.coulomb(tables, 1, work.speed[0])
-    for _ in range(len(tables.gear)):
+    for _ in range(len(tables.gear)):  # 0 or 1 gears: an `if` that LLVM decides, see `compiled`
         torque += load[SHAFT_FRICTION]
     drag = _linear_drag(tables, work.speed, out, coordinates)
     script_a, script_b = as_vectors(local((across,))), as_vectors(local((across,)))

@@ -80,7 +80,7 @@ def gear_torque(stiffness, damping, play, twist, rate):
 def motor_torque(tables, load, speed):
     """Return the torque of loads where the motor acts, at its speed, and dry friction (T66)."""
     torque = load[TORQUE]
-    for n in range(len(tables.motor_limit)):
+    for n in range(len(tables.motor_limit)):  # 0 or 1: an `if` that LLVM decides, see `compiled`
         wanted = load[TORQUE] - load[MOTOR_FRICTION] - tables.motor_limit[n][1] * speed
         torque = torque - (wanted - within(tables.motor_limit[n][0], wanted))
     return torque

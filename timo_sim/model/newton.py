@@ -275,7 +275,8 @@ def _half(tables):
     return len(tables.axes) + len(tables.inverse)
 
 
-# For every x, x + -0.0 is x: without a force on the arm the compiler removes these sums.
+# A force on the arm. Without one it is -0.0, the neutral element of addition, so that LLVM removes
+# the additions.
 
 @inner
 def _push(tables, q, load, cosine, sine):

@@ -156,7 +156,7 @@ def check_slope(scene: Any) -> None:
             (rate, _STABLE, 'Coulomb friction with this slope', 'coulomb_speed', 1)):
         if found * scene.step > most:
             longest = 0.99 * most / found
-            default = ' (as large as 0.001 rad or 0.0001 m by default)' * (power == 2)
+            default = ' (as large as 0.001 rad or 0.0001 m by default)' if power == 2 else ''
             raise StepError(f'integrator.step = {scene.step:g} s must be at most {longest:.3g} s '
                             f'for {what}: take that, or a {name} '
                             f'{(scene.step / longest)**power:.3g} times as large{default}',

@@ -29,7 +29,7 @@ def find_implausible(values: Mapping[str, Any]) -> str | None:
     each = partial(along, values)
 
     def shown(name):
-        default = ' (the default)' * (values[name] == PARAMETERS[name].default)
+        default = ' (the default)' if values[name] == PARAMETERS[name].default else ''
         return f'{name} = {values[name]:g} {PARAMETERS[name].unit}{default}'
 
     found = []
