@@ -13,9 +13,9 @@ from scipy.signal import lfilter, lsim
 
 from benchmark.accuracy import fits
 import timo_sim
+from timo_sim.fitting.objective import first_part
 from timo_sim.fitting.record import Channel, OUTPUTS
 from timo_sim.fitting.problem import covariance, loads_of, Problem, whiteness
-from timo_sim.fitting.search import first_part
 from timo_sim.model.layout import AFTER, TORQUE
 
 ARM = {'carrier.held': 'both', 'arm.length': 0.42, 'arm.section.height': 0.001,

@@ -191,7 +191,7 @@ def test_the_command_takes_several_records(tmp_path):
         'a.csv', 'b.csv', 'c.csv', 'map.yaml', 'arm.yaml', 'next.csv', 'fitted.yaml'))
     done = CliRunner().invoke(main, [
         'fit', a, b, '--hold-out-record', c, '--mapping', mapping, '--scene', arm, '--free',
-        *TRUTH, '--next', further, '-o', fitted])
+        ','.join(TRUTH), '--next', further, '-o', fitted])
     assert done.exit_code == 0, done.output
     assert 'record 3, ' in done.output
     assert 'widest' in done.output
@@ -201,6 +201,7 @@ def test_the_command_takes_several_records(tmp_path):
     assert t[-1] == pytest.approx(DURATION)
     assert np.abs(torque).max() == pytest.approx(0.1)
     done = CliRunner().invoke(main, ['fit', a, b, '--mapping', mapping, '--mapping', mapping,
-                                     '--mapping', mapping, '--scene', arm, '--free', *TRUTH])
+                                     '--mapping', mapping, '--scene', arm, '--free',
+                                     ','.join(TRUTH)])
     assert done.exit_code == 2
     assert 'one mapping for all or one for each' in done.output

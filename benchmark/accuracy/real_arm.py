@@ -189,8 +189,8 @@ def bounds_of(names, scene, before=None):
         if guess > 0.0 and not name.startswith('initial.'):
             found[name] = guess / FACTOR, guess * FACTOR
     if before:
-        search = before.posterior.search
-        for name, value in search.values(search.x, 0).items():
+        posterior = before.posterior
+        for name, value in posterior.objective.values(posterior.x, 0).items():
             if name in names and not before.estimates[name].bound:
                 low, high = found.get(name, (-np.inf, np.inf))
                 found[name] = low, float(f'{value:.5g}'), high  # as the page shows it
@@ -457,13 +457,14 @@ def command_of(case, parts, chosen, bounds):
         '' if np.isinf(each) else f'{each:.5g}' for each in ends) for name, ends in bounds.items())
     changes = ' '.join(['--set', *(f'{name}={value:.6g}' for name, value in values.items())])
     held = f"--hold-out-record '{case.other[0]}'" if case.other else f'--hold-out {HOLD_OUT:g}'
-    columns = ' '.join(f'example/real_arm/{each}'
-                       for each in dict.fromkeys([case.columns, *case.other[1:]]))
+    columns = ' --mapping '.join(f'example/real_arm/{each}'
+                                 for each in dict.fromkeys([case.columns, *case.other[1:]]))
     return ' \\\n    '.join([
         f"timo_sim fit '{case.record}' {held}",
         f'--scene example/real_arm/{case.scene} --mapping {columns}',
         *wrap(f'--bounds {shown}', 112), *(wrap(changes, 112) if values else []),
-        *wrap(f'--free {" ".join(names)} -o fitted.yaml --png fit.png', 112)])
+        *(f'--free {",".join(line.split())}' for line in wrap(' '.join(names), 105)),
+        '-o fitted.yaml --png fit.png'])
 
 
 def section(case):

@@ -41,10 +41,6 @@ def _show_warning(message, category, filename, lineno, file=None, line=None):
     click.echo(text, err=True)
 
 
-# Behind the first one of --free: the name of a parameter, in which no record's name ends.
-_NAME = r'(initial|\w+\.(?!(csv|txt|dat|tsv|parquet|mat|mcap|db3)$)[\w.[\]]+)$'
-
-
 class _Command(click.Command):
     """A subcommand that reports an error as one line and an exit code."""
 
@@ -55,13 +51,13 @@ class _Command(click.Command):
         super().__init__(name, **options)
 
     def parse_args(self, context, args):
-        """Read the command line; several may follow one `--set`, `--bounds` or `--free`."""
+        """Read the command line; several may follow one `--set` or `--bounds`."""
         given, option = [], ''
         for argument in args:
-            value = re.match(_NAME if option == '--free' else r'[\w.[\]]+=', argument)
+            value = re.match(r'[\w.[\]]+=', argument)
             if option and value and given[-1] != option:
                 given.append(option)
-            found = re.match('(--set|--bounds|--free)(=|$)', argument)
+            found = re.match('(--set|--bounds)(=|$)', argument)
             option = found[1] if found else option if value else ''
             given.append(argument)
         return super().parse_args(context, given)
@@ -461,14 +457,13 @@ def sweep(file: str, output: str | None, workers: int | None, scheduler: str | N
 
 
 @main.command()
-@click.argument('record', type=click.Path())
-@click.argument('more', nargs=-1, metavar='[RECORD]...')
+@click.argument('records', nargs=-1, required=True, type=click.Path(), metavar='RECORD...')
 @click.option('--scene', type=click.Path(), help=(
     'Parameter file or name of an installed scene, whose values are first guesses; by default '
     'that of RECORD, if it is a log of the node.'))
-@click.option('--free', multiple=True, required=True, metavar='NAME [NAME]...', help=(
+@click.option('--free', multiple=True, required=True, metavar='NAME,NAME', help=(
     'Parameters to be fitted: of the scene; QUANTITY.gain, .bias, .delay or .lag of an input or '
-    'output; or initial for the whole initial state.'))
+    'output; or initial for the whole initial state. It may be given again for further ones.'))
 @click.option('--bounds', multiple=True, metavar='NAME=LOW:HIGH', help=(
     'Bounds of one of them, or LOW:GUESS:HIGH with the value to begin with; several may follow.'))
 @_settings
@@ -496,7 +491,7 @@ def sweep(file: str, output: str | None, workers: int | None, scheduler: str | N
               help='Parameter file to write: the fitted scene.')
 @click.option('--png', type=_FILE, metavar='OUT.png',
               help='Picture to write: measured and predicted outputs of all records.')
-def fit(record: str, more: tuple[str, ...], scene: str | None, free: tuple[str, ...],
+def fit(records: tuple[str, ...], scene: str | None, free: tuple[str, ...],
         bounds: tuple[str, ...], settings: tuple[str, ...], mapping: tuple[str, ...],
         outputs: str | None, hold_out: float, hold_out_record: tuple[str, ...],
         starts: int | None, quick: bool, time: float | None, further: str | None,
@@ -505,11 +500,11 @@ def fit(record: str, more: tuple[str, ...], scene: str | None, free: tuple[str, 
     Fit parameters of a scene to RECORDs: logs, bags or tables, and predict the rest of them.
 
     \b
-        timo_sim fit run.mcap --free motor.viscous_friction arm.young_modulus
+        timo_sim fit run.mcap --free motor.viscous_friction,arm.young_modulus
         timo_sim fit arm.csv --mapping columns.yaml --scene arm.yaml --hold-out 0.5 \
-            --free motor.shaft_inertia shaft.bias -o fitted.yaml --png fit.png
+            --free motor.shaft_inertia,shaft.bias -o fitted.yaml --png fit.png
         timo_sim fit a.csv b.csv --hold-out-record c.csv --mapping columns.yaml \
-            --scene arm.yaml --free arm.young_modulus motor.shaft_inertia
+            --scene arm.yaml --free arm.young_modulus,motor.shaft_inertia
 
     Ctrl-C and SIGTERM end the search with the best so far.
 
@@ -528,7 +523,7 @@ def fit(record: str, more: tuple[str, ...], scene: str | None, free: tuple[str, 
         raise ParameterError(f'{output} exists: remove it or choose another name')
     changes, ends = parse_settings(settings), _parse_bounds(bounds)
     guess, measured, held = read_scene_and_records(
-        scene, [record, *more], mapping[0] if len(mapping) == 1 else [*mapping] or None,
+        scene, records, mapping[0] if len(mapping) == 1 else [*mapping] or None,
         hold_out_record)
     if outputs:
         measured, held = ([each.select(*outputs.split(',')) for each in some]
@@ -538,9 +533,9 @@ def fit(record: str, more: tuple[str, ...], scene: str | None, free: tuple[str, 
         signal.signal(number, signal.default_int_handler)
     with warnings.catch_warnings():
         warnings.simplefilter('ignore', ModelWarning)  # the report has its text
-        found = fit(load_scene(guess, changes), measured, free, ends, hold_out, window, loss,
-                    starts=starts, hold_out_records=held, tell=partial(click.echo, err=True),
-                    quick=quick, time=time)
+        found = fit(load_scene(guess, changes), measured, ','.join(free).split(','), ends,
+                    hold_out, window, loss, starts=starts, hold_out_records=held,
+                    tell=partial(click.echo, err=True), quick=quick, time=time)
     click.echo(found.report())
     if output:
         click.echo(f'{found.save(output)} is written')

@@ -9,9 +9,9 @@ from typing import NamedTuple
 
 import numpy as np
 
+from timo_sim.fitting.objective import Objective
 from timo_sim.fitting.problem import Problem
 from timo_sim.fitting.record import Channel, DRIVE, Record
-from timo_sim.fitting.search import Search
 from timo_sim.model.layout import INPUTS
 from timo_sim.runs.modes import frequencies_in_motion
 from timo_sim.scene.parameters import Parameter, ParameterError
@@ -39,10 +39,10 @@ class NextInput(NamedTuple):
     ratios: dict[str, float]
 
 
-def next_inputs(search: Search, information: np.ndarray, scene: Scene, limit: float | None,
-                duration: float | None) -> list[NextInput]:
-    """Return inputs, the most useful one first, see `Fit.next_input`."""
-    first, size = search.problems[0], len(search.free)
+def next_inputs(objective: Objective, x: np.ndarray, information: np.ndarray, scene: Scene,
+                limit: float | None, duration: float | None) -> list[NextInput]:
+    """Return inputs after a fit that ended at x, the most useful first, see `Fit.next_input`."""
+    first, size = objective.problems[0], len(objective.free)
     quantity = next((name for name in first.record.inputs if name != DRIVE), None)
     if quantity is None:
         raise ParameterError('the next input needs a first record with an input other than drive')
@@ -55,24 +55,24 @@ def next_inputs(search: Search, information: np.ndarray, scene: Scene, limit: fl
     duration = first.record.duration if duration is None else rule.check(duration)
     t = period * np.arange(round(duration / period) + 1)
     before = _deviations(information)
-    shared = [k for k, free in enumerate(search.free) if not free.is_own]
-    widest = search.free[max(shared or range(size), key=before.__getitem__)].name
+    shared = [k for k, free in enumerate(objective.free) if not free.is_own]
+    widest = objective.free[max(shared or range(size), key=before.__getitem__)].name
     again, found = np.clip(np.interp(t, channel.t, channel.values), -limit, limit), []
     for kind, signal in {**_signals(t, limit, scene), 'again': again}.items():
         record = Record.of({quantity: Channel(t, signal, hold=channel.hold)}, {
             name: (t, np.zeros(len(t))) for name in first.record.outputs})
-        new = Search([Problem(scene, record, [free.name for free in first.free], {},
-                              record.duration)], 'linear')
-        new.deviations = search.deviations[:1]
-        jacobian = new.jacobian(search.x[search.places[0]])
+        new = Objective([Problem(scene, record, [free.name for free in first.free], {},
+                                 record.duration)])
+        new.deviations = objective.deviations[:1]
+        jacobian = new.jacobian(x[objective.places[0]])
         # Biases and the initial state of the new record are its own: they come behind.
         places = [size + k if free.is_own else place
-                  for k, (free, place) in enumerate(zip(new.free, search.places[0]))]
+                  for k, (free, place) in enumerate(zip(new.free, objective.places[0]))]
         both = np.pad(information, (0, len(new.free)))
         both[np.ix_(places, places)] += jacobian.T @ jacobian
         found.append(NextInput(
             kind=kind, quantity=quantity, t=t, values=signal, widest=widest,
-            ratios=dict(zip([free.name for free in search.free],
+            ratios=dict(zip([free.name for free in objective.free],
                             _deviations(both)[:size] / before))))
     return sorted(found, key=lambda each: each.ratios[widest])
 

@@ -17,8 +17,8 @@ from typing import Any, NamedTuple
 
 import numpy as np
 
+from timo_sim.fitting.objective import Objective
 from timo_sim.fitting.problem import NORMAL
-from timo_sim.fitting.search import Search
 from timo_sim.scene.numbers import overrides_of
 from timo_sim.scene.parameters import Parameter, PARAMETERS
 from timo_sim.scene.scene import Scene
@@ -50,26 +50,24 @@ class Samples(NamedTuple):
 
 @dataclass(frozen=True)
 class Posterior:
-    """The coordinates of a Search that its records allow, around the minimum."""
+    """The coordinates of an Objective that its records allow, around its minimum x."""
 
-    search: Search
-    jacobian: np.ndarray  # (n, p) of all weighted residuals
-    spread: np.ndarray    # (p, p), covariance of the coordinates
+    objective: Objective
+    x: np.ndarray          # (p,)
+    jacobian: np.ndarray   # (n, p) of all weighted residuals
+    residuals: np.ndarray  # these, (n,)
+    spread: np.ndarray     # (p, p), covariance of the coordinates
 
     @cached_property
     def _root(self):
-        return self.search.weights(self.search.residuals(self.search.x))
-
-    @cached_property
-    def _minimum(self):
-        return self._rows(self.search.x)
+        return self.objective.weights(self.objective.residuals(self.x))
 
     @cached_property
     def _inverse(self):
         return np.linalg.pinv(self.jacobian)
 
     def _rows(self, x):
-        return self._root * self.search.residuals(x)
+        return self._root * self.objective.residuals(x)
 
     def _settle(self, x, held=None):
         """
@@ -80,19 +78,19 @@ class Posterior:
         """
         some = np.arange(len(x)) != held
         solve = self._inverse if held is None else np.linalg.pinv(self.jacobian[:, some])
-        goal = self._minimum + (self.jacobian @ (x - self.search.x) if held is None else 0.0)
+        goal = self.residuals + (self.jacobian @ (x - self.x) if held is None else 0.0)
         rows = self._rows(x)
         for _ in range(_MAX_STEPS):
             move = np.zeros(len(x))
             move[some] = solve @ (goal - rows)
-            better = self.search.within(x + move)
+            better = self.objective.within(x + move)
             if np.sum((self.jacobian @ (better - x))**2) < _SETTLED:
                 break
             found = self._rows(better)
             if not np.sum((found - goal)**2) < np.sum((rows - goal)**2):
                 break
             x, rows = better, found
-        return x, rows @ rows - self._minimum @ self._minimum
+        return x, rows @ rows - self.residuals @ self.residuals
 
     def intervals(self, places: Iterable[int]) -> dict[int, tuple[float, float]]:
         """
@@ -101,12 +99,12 @@ class Posterior:
         At the ends of a quadratic interval the squares rise as they should, within a factor. Where
         they do not, or at a bound, other parameters are fitted with this one held.
         """
-        found, search = {}, self.search
-        x = search.x
+        found = {}
         for k in places:
             path = NORMAL * self.spread[:, k] / np.sqrt(self.spread[k, k])
             target = np.sum((self.jacobian @ path)**2)
-            rises = [self._settle(search.within(x + sign * path), k)[1] for sign in (-1.0, 1.0)]
+            rises = [self._settle(self.objective.within(self.x + sign * path), k)[1]
+                     for sign in (-1.0, 1.0)]
             if not all(target / _MAX_RATIO < rise < _MAX_RATIO * target for rise in rises):
                 low, high = (self._end(k, sign * path, target) for sign in (-1.0, 1.0))
                 found[k] = float(low), float(high)
@@ -114,11 +112,11 @@ class Posterior:
 
     def _end(self, k, path, target):
         """Return the coordinate at which the least squares have risen by `target` on a side."""
-        start, size = self.search.x, 1.0
+        start, size = self.x, 1.0
         for _ in range(_MAX_REFITS):
-            x, rise = self._settle(self.search.within(start + size * path), k)
+            x, rise = self._settle(self.objective.within(start + size * path), k)
             factor = np.sqrt(target / max(rise, 1e-3 * target))
-            stopped = x[k] in (self.search.low[k], self.search.high[k]) and factor > 1.0
+            stopped = x[k] in (self.objective.low[k], self.objective.high[k]) and factor > 1.0
             if stopped or abs(factor - 1.0) < _NEAR:
                 break
             path = (x - start) / size  # the others follow
@@ -127,13 +125,13 @@ class Posterior:
 
     def sample(self, n: int, seed: int, scene: Scene) -> Samples:
         """Return Samples, see `Fit.sample`."""
-        n, search = _COUNT.check(n), self.search
+        n, objective = _COUNT.check(n), self.objective
         random, (size, axes) = np.random.default_rng(seed), np.linalg.eigh(self.spread)
         axes *= np.sqrt(np.maximum(size, 0.0))
         z = random.standard_normal((max(_MIN_DRAWS, min(n, _MAX_DRAWS)), len(size)))
         z *= np.sqrt(_FREEDOM / random.chisquare(_FREEDOM, (len(z), 1)))
         moves, power = z @ axes.T, np.sum(z**2, axis=1)
-        moved = [self._settle(search.x + each) for each in moves]
+        moved = [self._settle(self.x + each) for each in moves]
         x, rise = np.array([each for each, _ in moved]), np.array([each for _, each in moved])
         # log det of the map from z to x', quadratic through +-1 deviation on each axis.
         up, down = np.transpose([[self._volume(sign * axis) for sign in (1.0, -1.0)]
@@ -142,15 +140,15 @@ class Posterior:
         volume = near @ (0.5 * (up - down)) + near**2 @ (0.5 * (up + down))
         logarithm = (volume - 0.5 * rise * power / np.sum((moves @ self.jacobian.T)**2, axis=1)
                      + 0.5 * (_FREEDOM + len(size)) * np.log1p(power / _FREEDOM))
-        logarithm[np.any((search.low >= x) | (x >= search.high), axis=1)] = -np.inf
+        logarithm[np.any((objective.low >= x) | (x >= objective.high), axis=1)] = -np.inf
         weights = np.exp(logarithm - logarithm.max())
         weights /= weights.sum()
         # Systematic resampling: each draw as often as its weight says, or once more.
         places = np.searchsorted(np.cumsum(weights), (np.arange(n) + random.random()) / n)
         x = random.permutation(x[places.clip(max=len(x) - 1)])
         values = {free.name: np.array([free.value(each) for each in column])
-                  for free, column in zip(search.free, x.T)}
-        own = [free.name for free in search.free if not free.is_own
+                  for free, column in zip(objective.free, x.T)}
+        own = [free.name for free in objective.free if not free.is_own
                and free.name.partition('[')[0] in PARAMETERS]
         return Samples(values, [
             overrides_of(dict(zip(own, map(float, row))), scene)
@@ -158,6 +156,6 @@ class Posterior:
 
     def _volume(self, move):
         """Return log det of the map from a move to the coordinates of `_settle`."""
-        x, _ = self._settle(self.search.x + move)
-        local = self._root[:, np.newaxis] * self.search.jacobian(x, central=False)
+        x, _ = self._settle(self.x + move)
+        local = self._root[:, np.newaxis] * self.objective.jacobian(x, central=False)
         return -np.linalg.slogdet(self._inverse @ local)[1]

@@ -294,6 +294,7 @@ def _spline(t, angle, knots):
 
 _AT_STEP = 1e-6  # [steps] distance from a step within which a sample is taken at it
 _MAX_STEPS = 1e7
+_MAX_KEPT = 2**22  # most numbers of the runs that are kept
 _MAX_PARTS = 16  # of a step, for friction that is steep
 # Residual of a run that fails, in standard deviations of the sensor, and in ranges of what it
 # measured, whichever is more: searches must not prefer it to a run that is far off.
@@ -339,8 +340,10 @@ class Problem:
                                  'if the unit of its times is right')
         self.scene, self.until = scene, until
         self.record = limit_inputs(record, scene.values)
+        self._sensors = {f'{name}.{kind}' for name in record.outputs for kind in SENSOR}
         self.free = free_parameters(names, bounds, scene, record)
         self.windows = [Window(0.0, until, ())]
+        self._shown: dict[tuple[Any, ...], tuple[float, dict[str, np.ndarray]]] = {}
         self._own = set(initial_names(scene)) if window else set()
         if window:
             self._divide(window)
@@ -378,9 +381,8 @@ class Problem:
 
         Its step is a part of the scene's where this is too long for friction or backlash.
         """
-        sensors = {f'{quantity}.{kind}' for kind in SENSOR
-                   for quantity in (*self.record.inputs, *self.record.outputs)}
-        own = {name: value for name, value in values.items() if name not in sensors}
+        own = {name: value for name, value in values.items()
+               if name not in self._sensors and name.rpartition('.')[0] not in self.record.inputs}
         changes = overrides_of({**own, **(initial or {})}, self.scene)
         try:
             return self.scene.vary(changes)
@@ -412,20 +414,42 @@ class Problem:
     def predictions(self, run: Run, values: Mapping[str, float], begin: float = 0.0,
                     end: float = math.inf) -> dict[str, tuple[np.ndarray, np.ndarray]]:
         """Return what each output should show at its samples in a part: by name, times, values."""
-        found = {}
-        for name, channel in self.record.outputs.items():
-            gain, bias, delay, lag = sensor_of(values, name)
-            t = channel.t[is_within(channel.t, begin, end, self.until)]
-            seen = _with_lag(OUTPUTS[name].of_run(run), lag / run.scene.step)
-            found[name] = t, gain * _interpolate(t - begin - delay, run, seen) + bias
-        return found
+        t = {name: channel.t[is_within(channel.t, begin, end, self.until)]
+             for name, channel in self.record.outputs.items()}
+        shown = _at_samples(run.scene.step, self._outputs_of(run), values, begin, t)
+        return {name: (t[name], shown[name]) for name in t}
+
+    def _outputs_of(self, run):
+        return {name: OUTPUTS[name].of_run(run) for name in self.record.outputs}
+
+    def predicted(self, values: Mapping[str, float], window: Window,
+                  initial: Mapping[str, float] | None = None) -> dict[str, np.ndarray]:
+        """
+        Return what outputs should show at the samples of a window; raises what `run` raises.
+
+        What some last runs show is kept, so that sensors with other values need no other run.
+        """
+        early = max(0.0, *(-values.get(f'{name}.delay', 0.0) for name in self.record.outputs))
+        key = (window, early, *(each for each in values.items() if each[0] not in self._sensors),
+               *(initial or {}).items())
+        if (kept := self._shown.pop(key, None)) is None:
+            run = self.run(values, window.begin, window.end, initial)
+            kept = run.scene.step, self._outputs_of(run)
+            while self._shown and (1 + len(self._shown)) * len(run.t) * len(kept[1]) > _MAX_KEPT:
+                del self._shown[next(iter(self._shown))]
+        self._shown[key] = kept  # the last one used is the last one
+        return _at_samples(*kept, values, window.begin, {
+            name: channel.t[is_within(channel.t, window.begin, window.end, self.until)]
+            for name, channel in self.record.outputs.items()})
+
+    def __getstate__(self):
+        return {**vars(self), '_shown': {}}
 
     def residuals(self, values: Mapping[str, float], deviations: Mapping[str, float],
                   window: Window, initial: Mapping[str, float] | None = None) -> np.ndarray:
         """Return the residuals of a window in standard deviations; raises what `run` raises."""
-        run = self.run(values, window.begin, window.end, initial)
-        predicted = self.predictions(run, values, window.begin, window.end)
-        return np.concatenate([(predicted[name][1] - measured) / deviations[name]
+        predicted = self.predicted(values, window, initial)
+        return np.concatenate([(predicted[name] - measured) / deviations[name]
                                for name, measured in self.measurements(window).items()])
 
     def residuals_of_none(self, deviations: Mapping[str, float], window: Window) -> np.ndarray:
@@ -438,6 +462,16 @@ class Problem:
         """Return the measured samples of a window, by output."""
         return {name: channel.values[is_within(channel.t, window.begin, window.end, self.until)]
                 for name, channel in self.record.outputs.items()}
+
+
+def _at_samples(step, shown, values, begin, t):
+    """Return what sensors with these values show, at times by output, of a run that begins."""
+    predicted = {}
+    for name, ideal in shown.items():
+        gain, bias, delay, lag = sensor_of(values, name)
+        seen = _with_lag(ideal, lag / step)
+        predicted[name] = gain * _interpolate(t[name] - begin - delay, step, seen) + bias
+    return predicted
 
 
 def is_within(t, begin, end, until):
@@ -455,16 +489,17 @@ def _with_lag(values, lag):
     return lfilter([new, old], [1.0, -fade], values, zi=[values[0] * (1.0 - new)])[0]
 
 
-def _interpolate(times, run, values):
-    """Return a quantity of a run at times, shape (n,) [s]."""
-    position = times / run.scene.step
+def _interpolate(times, step, values):
+    """Return a quantity of a run with samples at all steps at times, shape (n,) [s]."""
+    position = times / step
     whole = np.rint(position)
     if np.abs(position - whole).max(initial=0.0) <= _AT_STEP:
         return values[np.clip(whole, 0, len(values) - 1).astype(int)]
+    t = step * np.arange(len(values))
     if len(values) < 4:
-        return np.interp(times, run.t, values)
+        return np.interp(times, t, values)
     # Before the start of the run, its first motion is used.
-    return CubicSpline(run.t, values)(np.clip(times, 0.0, run.t[-1]))
+    return CubicSpline(t, values)(np.clip(times, 0.0, t[-1]))
 
 
 WHITE = 0.01         # probability below which residuals do not count as white

@@ -11,18 +11,19 @@ from itertools import product
 import math
 from pathlib import Path
 from time import monotonic
-from typing import Any, TYPE_CHECKING
+from typing import Any, NamedTuple, TYPE_CHECKING
 
 import numpy as np
 
 from timo_sim.extras import optional
 from timo_sim.fitting.next import next_inputs, NextInput
+from timo_sim.fitting.objective import LOSSES, Objective
 from timo_sim.fitting.record import (
     is_mapping, read_log, read_record, Record, SUFFIXES, unit_of)
 from timo_sim.fitting.problem import (
     covariance, NORMAL, Problem, r_squared, TimeIsUp, unidentified_combinations, whiteness)
 from timo_sim.fitting.posterior import Posterior, Samples
-from timo_sim.fitting.search import LOSSES, NUMERICAL, reason_of, Search
+from timo_sim.fitting.search import NUMERICAL, reason_of, Search
 from timo_sim.fitting.suspects import name_suspects, Suspect, suspects
 from timo_sim.runs.run import Run
 from timo_sim.scene.files import scene_text, whole_file
@@ -299,7 +300,8 @@ class Fit(Prediction):
         the fit was stopped before its intervals.
         """
         self._needs_intervals('a next input')
-        return next_inputs(self.posterior.search, self.information, self.scene, limit, duration)
+        return next_inputs(self.posterior.objective, self.posterior.x, self.information,
+                           self.scene, limit, duration)
 
     def _needs_intervals(self, what):
         if self.posterior is None:
@@ -427,128 +429,166 @@ def fit(scene: SceneLike | None, record: RecordLike | Sequence[RecordLike], free
     time = None if time is None else _TIME.check(time)
     start, measured, held = read_scene_and_records(scene, record, mapping, hold_out_records)
     start = start.with_fixed_shapes()
-    begun, bounds = monotonic(), dict(bounds or {})
-    problems = [Problem(scene=start, record=each, names=_names_for(each, measured, free),
-                        bounds=bounds, until=(1.0 - hold_out) * each.duration,
-                        window=window) for each in measured]
+    begun = monotonic()
 
     def say(text):
         if tell:
             tell(f'{monotonic() - begun:.1f} s: {text}')
 
-    search = Search(problems, loss, say)
-    common = [each.name for each in search.free if not each.is_own]
-    for last in held:
-        seen = {'initial.shaft': float(last.outputs['shaft'].values[0])} if (
-            'shaft' in last.outputs and {'initial', 'initial.shaft'} & {*free}) else {}
-        problems.append(Problem(start.vary(seen), last, _names_for(last, measured, common), {},
-                                0.0))
-    end = math.inf if time is None else begun + time
+    objective = Objective([
+        Problem(scene=start, record=each, names=_names_for(each, measured, free),
+                bounds=dict(bounds or {}), until=(1.0 - hold_out) * each.duration, window=window)
+        for each in measured], loss)
+    others = [_held_out(start, each, free, measured, objective) for each in held]
+    search, end = Search(objective, say), math.inf if time is None else begun + time
     if tell or time:
-        run, columns = _measure(search)
-        say(_expect(search, run, columns, quick))
+        run, columns = _measure(objective)
+        say(_expect(run, columns, quick))
         search.set_deadline(end - min(_KEPT * (end - begun), run * (
             _RUNS_OF_DERIVATIVES * columns + _RUNS_AFTER)))
     search.run(starts)
-    doubts = []
-    if search.stopped:
-        doubts.append('these are the best values so far, since the search was stopped: '
-                      + search.stopped)
-    residuals, white = search.parts(), search.is_white()
-    attempt = _Phases(search, doubts, say)
+    phases = _Phases(search, say)
     search.set_deadline(end)
-    names, count = [free.name for free in search.free], len(search.free)
-    jacobians, jumps = attempt('intervals are', search.derivatives, (None, []),
-                               'derivatives, for the intervals')
+    intervals = _find_intervals(search, phases, quick)
     seconds = monotonic() - begun
-    x, states = search.x[:count], search.states(search.x)
-    posterior = information = None
-    whole = np.zeros((0, len(search.x)))
-    profiles, parts = {}, []
-    if jacobians is None:
-        spread, known = np.full((count, count), np.nan), [True] * count
-    else:
-        spread, white = covariance(jacobians, residuals)
-        whole = np.concatenate(jacobians)
-        posterior = Posterior(search, whole, spread)
-        spread = spread[:count, :count]
-        known = [bool(half < (1.0 if each.log else max(1.0, abs(at)))) for each, at, half in zip(
-            search.free, x, NORMAL * np.sqrt(np.diag(spread)))]
-    sigma = np.sqrt(np.diag(spread))
-    halves = NORMAL * sigma
-    if posterior and not quick:
-        profiles = attempt('intervals by profile are',
-                           lambda: posterior.intervals(np.flatnonzero(known)), {},
-                           'intervals, where others may be by profile')
-    estimates = {}
-    for k, (each, at, half, identified) in enumerate(zip(search.free, x, halves, known)):
-        value = each.value(at)
-        edges = each.coordinate(each.low), each.coordinate(each.high)
-        bound = next((name for name, edge in zip(('low', 'high'), edges)
-                      if abs(at - edge) < _AT_BOUND), '')
-        low, high = (map(each.value, profiles.get(k, (at - half, at + half))) if identified
-                     else (math.nan, math.nan))
-        estimates[each.name] = Estimate(
-            value=value if identified else math.nan, low=low, high=high,
-            deviation=sigma[k] * (value if each.log else each.scale) if identified else math.nan,
-            start=each.start, unit=each.unit, identified=identified, bound=bound,
-            profile=k in profiles)
-    predictions = []
-    if jumps:
-        doubts.append(f'the run depends on {", ".join(jumps)} in jumps, so the intervals may be '
-                      'too small: try a shorter window')
-    doubts += _find_doubts(estimates, problems[0], search.values(x, 0))
-    series: dict[tuple[int, str], list[np.ndarray]] = {}
-    for (k, name, _), r in zip(search.series(), residuals):
-        series.setdefault((k, name), []).append(search.deviations[k][name] * r)
-    initial = dict(reversed([(k, state) for (k, _), state in zip(search.windows, states)]))
-    fitted = problems[0].scene_of(search.values(x, 0), initial[0])
-    shared = {each.name: each.value(at) for each, at in zip(search.free, x) if not each.is_own}
+    estimates = intervals.estimates(search)
+    phases.doubts += _find_doubts(estimates, objective.problems[0], objective.values(search.x, 0))
     search.set_deadline(math.inf)
     say('one run of each record, and one with more modes and half the step')
-    for k, problem in enumerate(problems):
-        values = search.values(x, k) if k < len(measured) else {
-            each.name: shared[each.name] for each in problem.free}
-        prediction, told = _predict(problem, values, initial.get(k), {
-            name: series.get((k, name), []) for name in problem.record.outputs}, attempt)
-        predictions.append(prediction)
-        doubts += [f'{each} (record {k + 1})' if len(problems) > 1 else each for each in told]
+    predictions = _predict_all(search, others, phases)
     search.set_deadline(end)
     likely = []
-    if posterior and not quick and not white and any(
+    if intervals.posterior and not quick and not intervals.white and any(
             1.0 - each.r_squared > NUMERICAL for prediction in predictions
             for each in prediction.errors.values()):
-        likely = attempt('what the residuals look like is',
-                         lambda: suspects(search, whole, np.concatenate(residuals)), [],
-                         'what the residuals look like')
-        doubts[bool(search.stopped):bool(search.stopped)] = name_suspects(likely)
-    if posterior:
-        # Without what the initial states of windows can explain as well.
-        q, _ = np.linalg.qr(whole[:, count:])
-        own = whole[:, :count] - q @ (q.T @ whole[:, :count])
-        information = own.T @ own
-        parts = unidentified_combinations(
-            own, names, {name for name, each in estimates.items() if not each.identified})
-    correlation = np.clip(spread / np.outer(sigma, sigma), -1.0, 1.0)  # but for round-off
+        likely = phases.attempt(
+            'what the residuals look like is', lambda: suspects(
+                objective, search.x, intervals.posterior.jacobian, intervals.posterior.residuals),
+            [], 'what the residuals look like')
+        phases.doubts[bool(search.stopped):bool(search.stopped)] = name_suspects(likely)
+    information, unidentified = intervals.information(objective, estimates)
     first, *more = predictions
-    found = Fit(record=first.record, errors=first.errors, run=first.run, predicted=first.predicted,
-                until=first.until, scene=fitted, estimates=estimates, correlation=correlation,
-                unidentified=parts, white=white, warnings=doubts, seconds=seconds,
-                starts=search.tried, others=search.others, more=more, posterior=posterior,
-                information=information, suspects=likely, stopped=search.stopped)
-    if doubts:
-        warn('; '.join(doubts))
-    return found
+    states, values = objective.states(search.x), objective.values(search.x, 0)
+    result = Fit(
+        record=first.record, errors=first.errors, run=first.run, predicted=first.predicted,
+        until=first.until, scene=objective.problems[0].scene_of(values, states[0]),
+        estimates=estimates, correlation=intervals.correlation, unidentified=unidentified,
+        white=intervals.white, warnings=phases.doubts, seconds=seconds, starts=search.tried,
+        others=search.others, more=more, posterior=intervals.posterior, information=information,
+        suspects=likely, stopped=search.stopped)
+    if phases.doubts:
+        warn('; '.join(phases.doubts))
+    return result
+
+
+def _held_out(start, record, free, measured, objective):
+    """Return the Problem of a record that is predicted, without parameters of its own."""
+    if 'shaft' in record.outputs and {'initial', 'initial.shaft'} & {*free}:
+        start = start.vary({'initial.shaft': float(record.outputs['shaft'].values[0])})
+    common = [each.name for each in objective.free if not each.is_own]
+    return Problem(start, record, _names_for(record, measured, common), {}, 0.0)
+
+
+class _Intervals(NamedTuple):
+    """What is known of estimates, by p free parameters, beside their values."""
+
+    posterior: Posterior | None  # None: the fit was stopped before it was known
+    white: bool             # whether residuals are
+    spread: np.ndarray      # covariance of coordinates, (p, p)
+    identified: list[bool]  # (p,)
+    profiles: dict[int, tuple[float, float]]  # intervals that are not quadratic, by place
+
+    @property
+    def correlation(self):
+        sigma = np.sqrt(np.diag(self.spread))
+        return np.clip(self.spread / np.outer(sigma, sigma), -1.0, 1.0)  # but for round-off
+
+    def estimates(self, search):
+        """Return the Estimate of each free parameter, by name."""
+        estimates, sigma = {}, np.sqrt(np.diag(self.spread))
+        for k, (free, at, identified) in enumerate(zip(
+                search.objective.free, search.x, self.identified)):
+            value, half = free.value(at), NORMAL * sigma[k]
+            edges = {'low': free.coordinate(free.low), 'high': free.coordinate(free.high)}
+            low, high = (map(free.value, self.profiles.get(k, (at - half, at + half)))
+                         if identified else (math.nan, math.nan))
+            deviation = sigma[k] * (value if free.log else free.scale)
+            estimates[free.name] = Estimate(
+                value=value if identified else math.nan, low=low, high=high,
+                deviation=deviation if identified else math.nan, start=free.start,
+                unit=free.unit, identified=identified, profile=k in self.profiles, bound=next(
+                    (name for name, edge in edges.items() if abs(at - edge) < _AT_BOUND), ''))
+        return estimates
+
+    def information(self, objective, estimates):
+        """Return the information of white residuals, (p, p), and unidentified combinations."""
+        if self.posterior is None:
+            return None, []
+        count, jacobian = len(objective.free), self.posterior.jacobian
+        # Project the states of windows out: what is left only the parameters can explain.
+        q, _ = np.linalg.qr(jacobian[:, count:])
+        own = jacobian[:, :count] - q @ (q.T @ jacobian[:, :count])
+        lost = {name for name, each in estimates.items() if not each.identified}
+        return own.T @ own, unidentified_combinations(own, [*estimates], lost)
+
+
+def _find_intervals(search, phases, quick):
+    """Return the _Intervals of a search that has ended."""
+    objective, x, count = search.objective, search.x, len(search.objective.free)
+    jacobian, jumps = phases.attempt('intervals are', search.derivatives, (None, []),
+                                     'derivatives, for the intervals')
+    if jacobian is None:
+        return _Intervals(None, objective.is_white(x), np.full((count, count), np.nan),
+                          [True] * count, {})
+    if jumps:
+        phases.doubts.append(f'the run depends on {", ".join(jumps)} in jumps, so the intervals '
+                             'may be too small: try a shorter window')
+    residuals = objective.residuals(x)
+    residuals *= objective.weights(residuals)
+    spread, white = covariance(objective.split(jacobian), objective.split(residuals))
+    posterior, spread = Posterior(objective, x, jacobian, residuals, spread), spread[
+        :count, :count]
+    halves = NORMAL * np.sqrt(np.diag(spread))
+    identified = [bool(half < (1.0 if free.log else max(1.0, abs(at))))
+                  for free, at, half in zip(objective.free, x, halves)]
+    profiles = {} if quick else phases.attempt(
+        'intervals by profile are', lambda: posterior.intervals(np.flatnonzero(identified)), {},
+        'intervals, where others may be by profile')
+    return _Intervals(posterior, white, spread, identified, profiles)
+
+
+def _predict_all(search, others, phases):
+    """Return the Predictions of the records of a search, and of other problems."""
+    objective, x = search.objective, search.x
+    residuals: dict[tuple[int, str], list[np.ndarray]] = {}
+    for (k, name, _), r in zip(objective.series(), objective.split(objective.residuals(x))):
+        residuals.setdefault((k, name), []).append(objective.deviations[k][name] * r)
+    initial = dict(reversed([(k, state) for (k, _), state in zip(
+        objective.windows, objective.states(x))]))
+    shared = {free.name: free.value(at) for free, at in zip(objective.free, x)
+              if not free.is_own}
+    predictions, problems = [], [*objective.problems, *others]
+    for k, problem in enumerate(problems):
+        values = objective.values(x, k) if k in initial else {
+            free.name: shared[free.name] for free in problem.free}
+        prediction, told = _predict(problem, values, initial.get(k), {
+            name: residuals.get((k, name), []) for name in problem.record.outputs}, phases)
+        predictions.append(prediction)
+        phases.doubts += [f'{each} (record {k + 1})' if len(problems) > 1 else each
+                          for each in told]
+    return predictions
 
 
 class _Phases:
     """What follows a search, in phases that may fail or be stopped without loss of the others."""
 
-    def __init__(self, search: Search, doubts: list[str], say: Callable[[str], None]) -> None:
-        self._over, self._doubts, self._say = search.interrupted, doubts, say
+    def __init__(self, search: Search, say: Callable[[str], None]) -> None:
+        self._over, self._say = search.interrupted, say
+        self.doubts = ['these are the best values so far, since the search was stopped: '
+                       + search.stopped] if search.stopped else []
 
-    def __call__(self, what: str, function: Callable[[], Any], otherwise: Any, text: str = '',
-                 needed: bool = False) -> Any:
+    def attempt(self, what: str, function: Callable[[], Any], otherwise: Any, text: str = '',
+                needed: bool = False) -> Any:
         """Return what a function does; otherwise, or if a phase was stopped, something else."""
         reason = 'the fit was stopped before'
         if needed or not self._over:
@@ -560,19 +600,20 @@ class _Phases:
                 self._over, reason = True, reason_of(stop)
             except (ArithmeticError, ValueError) as error:  # of parameters, of linear algebra
                 reason = str(error)
-        self._doubts.append(f'{what} not known: {reason}')
+        self.doubts.append(f'{what} not known: {reason}')
         return otherwise
 
 
-def _measure(search):
+def _measure(objective):
     """Return how long a run of the records takes [s], and how many parameters it has."""
     begun = monotonic()
-    search.residuals(search.x)
+    for k, problem in enumerate(objective.problems):
+        problem.run(objective.values(objective.start, k), 0.0, problem.until)
     return monotonic() - begun, max(
-        len(each.free) + len(each.windows[0].names) for each in search.problems)
+        len(each.free) + len(each.windows[0].names) for each in objective.problems)
 
 
-def _expect(search, run, columns, quick):
+def _expect(run, columns, quick):
     """Return a text of how long a fit may take, if a run of the records takes `run` [s]."""
     seconds = _RUNS * columns * run
     text = (f'a run of the records takes {run:.2g} s, a fit of {columns} parameters from one '
@@ -624,7 +665,7 @@ def _read(scene, record, mapping):
     return read_log(record, None if scene is None else load_scene(scene))
 
 
-def _predict(problem, values, initial, residuals, attempt):
+def _predict(problem, values, initial, residuals, phases):
     """Return the Prediction of a problem with these values, and what is doubtful of it."""
     doubts, predicted, errors = [], {}, {}
 
@@ -632,7 +673,8 @@ def _predict(problem, values, initial, residuals, attempt):
         run = problem.run(values, scene=refined(problem.scene_of(values, initial)))
         return run, {name: found for name, (_, found) in problem.predictions(run, values).items()}
 
-    run, predicted = attempt('one run of the whole record is', run_all, (None, {}), needed=True)
+    run, predicted = phases.attempt('one run of the whole record is', run_all, (None, {}),
+                                    needed=True)
     for name, channel in problem.record.outputs.items():
         parts = []
         for part in (channel.t <= problem.until, channel.t > problem.until):
@@ -654,7 +696,7 @@ def _predict(problem, values, initial, residuals, attempt):
     found = Prediction(problem.record, errors, run, predicted, problem.until)
     if run is None:
         return found, doubts
-    _, again = attempt('the numerical error is', lambda: run_all(lambda scene: refine(
+    _, again = phases.attempt('the numerical error is', lambda: run_all(lambda scene: refine(
         scene, 2, None, 0, same_equations=True)), (None, {}))
     for name, finer in again.items():
         apart = float(np.sqrt(np.mean((finer - predicted[name])**2)))

@@ -15,14 +15,16 @@ from __future__ import annotations
 
 from collections.abc import Callable, Iterator, Mapping, Sequence
 from copy import copy
+from functools import lru_cache
 from typing import Any, NamedTuple
 
 import numpy as np
 from scipy.optimize import least_squares
 from scipy.signal import bilinear, lfilter
 
+from timo_sim.fitting.objective import Objective
 from timo_sim.fitting.problem import DIVERGED, is_within, limit_inputs, WHITE, whiteness
-from timo_sim.fitting.search import Search
+from timo_sim.model.differences import differences
 from timo_sim.model.layout import INPUTS
 from timo_sim.runs.modes import frequencies_in_motion
 from timo_sim.scene.parameters import ParameterError, PARAMETERS
@@ -67,39 +69,37 @@ class _Effect(NamedTuple):
     shape: Sequence[float] = ()     # further arguments, which are fitted with the sizes
 
 
-class _Changed(Search):
-    """A Search whose scenes have an effect, with these arguments."""
+def _with_effect(objective, x, effect, arguments):
+    """Return an objective whose scenes have an effect, with these arguments."""
+    def change(values):
+        return effect.change(values, *arguments)
 
-    def __init__(self, search: Search, effect: _Effect, arguments: np.ndarray) -> None:
-        self.__dict__.update(search.__dict__)
-        self._change, self._arguments, self._known = effect.change, arguments, {}
-        self.problems = [copy(problem) for problem in search.problems]
-        for k, problem in enumerate(self.problems):
-            # Rates are limited already.
-            problem.record = limit_inputs(problem.record, {
-                **problem.scene.values, **self.values(search.x, k),
-                **{each.rate_limit: np.inf for each in INPUTS}})
-
-    def values(self, x: np.ndarray, k: int) -> dict[str, float]:
-        """Return the values of problem `k` and what the effect makes of them."""
-        own = super().values(x, k)
-        return {**own, **self._change({**self.problems[k].scene.values, **own}, *self._arguments)}
+    problems = []
+    for k, problem in enumerate(objective.problems):
+        problem = copy(problem)
+        values = {**problem.scene.values, **objective.values(x, k)}
+        problem.record = limit_inputs(problem.record, {
+            **values, **change(values),
+            **{each.rate_limit: np.inf for each in INPUTS}})  # rates are limited already
+        problems.append(problem)
+    return objective.of_changed(problems, change)
 
 
-def suspects(search: Search, jacobian: np.ndarray, residuals: np.ndarray) -> list[Suspect]:
+def suspects(objective: Objective, x: np.ndarray, jacobian: np.ndarray,
+             residuals: np.ndarray) -> list[Suspect]:
     """
-    Return the Suspects of a fit, that of the largest share first.
+    Return the Suspects of a fit that has ended at x, that of the largest share first.
 
-    `jacobian`, (n, p), and `residuals`, (n,), are those of `Search.derivatives`.
+    `jacobian`, (n, p), and `residuals`, (n,), are weighted ones there.
     """
-    if np.any(np.abs(here := search.residuals(search.x)) >= DIVERGED):
+    if np.any(np.abs(here := objective.residuals(x)) >= DIVERGED):
         return []
-    (free, _), root = np.linalg.qr(jacobian), search.weights(here)
+    (free, _), root = np.linalg.qr(jacobian), objective.weights(here)
     left = residuals - free @ (free.T @ residuals)
-    edges = np.cumsum([len(measured) for *_, measured in search.series()])
 
     def is_white(rest):
-        return all(whiteness(each) >= WHITE for each in np.split(rest, edges)[:-1])
+        return all(whiteness(each) >= WHITE for each, _ in zip(
+            objective.split(rest), objective.series()))
 
     def explain(columns, low=-np.inf):
         """Return share, whether the rest is white, and the factors of the columns."""
@@ -113,15 +113,15 @@ def suspects(search: Search, jacobian: np.ndarray, residuals: np.ndarray) -> lis
 
     share, white, frequency = max(
         ((*explain(columns)[:2], frequency) for frequency, columns
-         in _resonances(search, len(left))), default=(0.0, False, 0.0))
-    found = [*_signs(search), Suspect(
+         in _resonances(objective, x, len(left))), default=(0.0, False, 0.0))
+    found = [*_signs(objective), Suspect(
         f'a resonance at {frequency:.3g} Hz, which no mode of the model has', share, white,
         'look for what vibrates beside the arm, and try other first guesses')]
     tried = []
-    for effect in _effects(search):
+    for effect in _effects(objective, x):
         of_trials = []
         for sizes in map(np.array, effect.trials):
-            runs = [_Changed(search, effect, each).residuals(search.x)
+            runs = [_with_effect(objective, x, effect, each).residuals(x)
                     for each in (0.0 * sizes, *np.diag(sizes))]
             if all(np.all(np.abs(run) < DIVERGED) for run in runs):
                 share, white, factors = explain([run - runs[0] for run in runs[1:]], effect.low)
@@ -132,7 +132,7 @@ def suspects(search: Search, jacobian: np.ndarray, residuals: np.ndarray) -> lis
     for effect, share, white, sizes in tried:
         # What is all or nothing has no first order.
         if share > _WORTHWHILE * largest or effect.low == 1.0:
-            rest, fitted, count = _fit(search, effect, sizes)
+            rest, fitted, count = _fit(objective, x, effect, sizes)
             # As Schwarz's criterion (BIC) weighs further parameters.
             left_over = (rest @ rest) * len(rest)**(count / len(rest))
             explained = float(1.0 - left_over / (residuals @ residuals))
@@ -143,33 +143,32 @@ def suspects(search: Search, jacobian: np.ndarray, residuals: np.ndarray) -> lis
     return sorted((each for each in found if each.share), key=lambda each: -each.share)
 
 
-def _fit(search, effect, sizes):
+def _fit(objective, x, effect, sizes):
     """Return residuals, (n,), of a fit with an effect, its arguments, and how many are free."""
-    count, first = len(search.x), np.append(sizes, effect.shape)
+    count, first = len(x), np.append(sizes, effect.shape)
     start = np.ones(len(first) * (effect.low < 1.0))  # factors of the arguments
 
-    def arguments(z):
-        return z[count:] * first if len(start) else first
-
-    def changed(z):
-        return _Changed(search, effect, arguments(z))
+    @lru_cache(maxsize=1)
+    def changed(*factors):
+        return _with_effect(objective, x, effect, np.array(factors) * first if factors else first)
 
     def residuals(z):
-        return changed(z).residuals(z[:count])
+        return changed(*z[count:]).residuals(z[:count])
 
     def jacobian(z):
-        same = changed(z)
-        here = same.residuals(z[:count])
-        return np.column_stack([same.jacobian(z[:count], _STEP, False), *(
-            (residuals(z + shift) - here) / _STEP for shift in _STEP * np.eye(len(z))[count:])])
+        by_x = changed(*z[count:]).jacobian(z[:count], _STEP, False)
+        return np.hstack([by_x, differences(lambda shifts: np.array([
+            residuals(np.append(z[:count], z[count:] + shift)) for shift in shifts]),
+            _STEP * start, 1).slope])
 
     low = np.where(np.arange(len(start)) < len(sizes), effect.low, 0.0)
     z = least_squares(
-        residuals, np.append(search.x, start), jacobian,
-        (np.append(search.low, low), np.append(search.high, np.inf * start)),
-        x_scale='jac', loss=search.loss, ftol=_TOLERANCE, max_nfev=_MAX_RUNS).x
+        residuals, np.append(x, start), jacobian,
+        (np.append(objective.low, low), np.append(objective.high, np.inf * start)),
+        x_scale='jac', loss=objective.loss, ftol=_TOLERANCE, max_nfev=_MAX_RUNS).x
     rest = residuals(z)
-    return rest * search.weights(rest), arguments(z), len(start)
+    return (rest * objective.weights(rest),
+            z[count:] * first if len(start) else first, len(start))
 
 
 def name_suspects(found: list[Suspect]) -> Iterator[str]:
@@ -182,9 +181,10 @@ def name_suspects(found: list[Suspect]) -> Iterator[str]:
             for each in likely)
 
 
-def _signs(search):
+def _signs(objective):
     """Yield Suspects of wrong signs, by the correlation with the run of the first guess."""
-    for problem, against, deviations in zip(search.problems, search.against, search.deviations):
+    for problem, against, deviations in zip(
+            objective.problems, objective.against, objective.deviations):
         shares = {name: 1.0 - (1.0 - correlation**2) * np.var(
             problem.record.outputs[name].values) / deviations[name]**2
             for name, correlation in against.items() if correlation < _ANTICORRELATED}
@@ -197,11 +197,11 @@ def _signs(search):
                           'scale: -1 in the mapping')
 
 
-def _effects(search: Search) -> Iterator[_Effect]:
+def _effects(objective: Objective, x: np.ndarray) -> Iterator[_Effect]:
     """Yield the effects that a scene lacks."""
-    problem, both = search.problems[0], -np.inf
-    window, state = problem.windows[0], search.states(search.x)[0]
-    values, step = search.values(search.x, 0), problem.scene.step
+    problem, both = objective.problems[0], -np.inf
+    window, state = problem.windows[0], objective.states(x)[0]
+    values, step = objective.values(x, 0), problem.scene.step
     run = problem.run(values, window.begin, window.end, state)
     own: Mapping[str, Any] = run.scene.values
     rates = run.values[:, run.values.shape[1] // 2:][:, :3]
@@ -292,17 +292,17 @@ def _gear(own, compliance, damping=0.1, inertias=1.0):
     return changes
 
 
-def _resonances(search, size):
+def _resonances(objective, x, size):
     """Yield frequencies beside those of the model, and columns, (size,), of such a resonance."""
-    problem = search.problems[0]
+    problem = objective.problems[0]
     try:
-        own = frequencies_in_motion(problem.scene_of(search.values(search.x, 0)))
+        own = frequencies_in_motion(problem.scene_of(objective.values(x, 0)))
     except ParameterError:  # as where more modes need shorter steps
         return
     highest = 0.2 / problem.record.period
     if not problem.record.inputs or not len(own) or own[0] >= highest:
         return
-    step, series = problem.scene.step, search.series()
+    step, series = problem.scene.step, objective.series()
     for frequency in np.geomspace(own[0], highest, _RESONANCES):
         if np.abs(frequency / own - 1.0).min() < _BESIDE:
             continue
@@ -310,8 +310,8 @@ def _resonances(search, size):
         for which in ([omega**2], [omega, 0.0]):  # its position and its speed
             system = bilinear(which, [1.0, 2.0 * _DAMPING * omega, omega**2], 1.0 / step)
             parts = []
-            for k, window in search.windows:
-                record, until = search.problems[k].record, search.problems[k].until
+            for k, window in objective.windows:
+                record, until = objective.problems[k].record, objective.problems[k].until
                 t = step * np.arange(round(record.duration / step) + 1)
                 shown = sum(lfilter(*system, np.interp(t, each.t, each.values) - each.values[0])
                             for each in record.inputs.values())

@@ -9,6 +9,7 @@ from collections.abc import Callable, Mapping, Sequence
 from dataclasses import dataclass
 import numpy as np
 
+from timo_sim.model.differences import differences
 from timo_sim.scene.parameters import (
     checked, FUNCTION, Parameter, ParameterError, steps_in, TEXTS, warn)
 from timo_sim.scene.numbers import (
@@ -101,17 +102,25 @@ def sensitivities(scene: SceneLike, duration: float,
         raise ParameterError(f'the {steps} steps of the run must be a multiple of the number of '
                              f'samples, got {count}')
     changes = _FIRST_STEP / _RATIO**np.arange(_LEVELS)
-    scenes = [scene]
-    for name, value, scale in inputs:
-        scenes.extend(scene.vary(overrides_of({name: value + sign * change}, scene))
-                      for sign in (1.0, -1.0) for change in scale * changes)
-    seen = _outputs(Batch(scenes), output, steps // count, count)
-    # Samples, inputs, signs, levels, output.
-    varied = seen[:, 1:].reshape(len(seen), len(inputs), 2, _LEVELS, *seen.shape[2:])
-    above, below = np.moveaxis(varied, (2, 1, 3), (0, 1, 2))  # input, level, sample, output
-    found = [_derivative(seen[:, 0], above[k], below[k], scale * changes)
-             for k, (_, _, scale) in enumerate(inputs)]
-    jacobian, error = (np.stack(parts, axis=-1) for parts in zip(*found))
+    scales = np.array([scale for *_, scale in inputs])
+
+    def shown(shifts):
+        scenes = []
+        for row in shifts.reshape(len(shifts), len(inputs), _LEVELS).sum(axis=2):
+            changed = {name: value + change for (name, value, _), change in zip(inputs, row)
+                       if change}
+            scenes.append(scene.vary(overrides_of(changed, scene)) if changed else scene)
+        seen = _outputs(Batch(scenes), output, steps // count, count)
+        shapes.append((count, *seen.shape[2:]))
+        return np.moveaxis(seen, 1, 0).reshape(len(shifts), -1)
+
+    shapes: list[tuple[int, ...]] = []
+    value, slope, kink = differences(shown, np.outer(scales, changes).ravel())
+    found = [_extrapolate(value, *(each[:, k * _LEVELS:(k + 1) * _LEVELS].T
+                                   for each in (slope, kink)), scale * changes)
+             for k, scale in enumerate(scales)]
+    jacobian, error = (np.stack(parts, axis=-1).reshape(*shapes[0], len(inputs))
+                       for parts in zip(*found))
     names, outputs = tuple(name for name, _, _ in inputs), tuple(range(jacobian.ndim - 1))
     most, largest = error.max(axis=outputs), np.abs(jacobian).max(axis=outputs)
     doubtful = np.flatnonzero(~(most <= _MAX_ERROR * largest) & ~(largest == 0.0))
@@ -121,7 +130,7 @@ def sensitivities(scene: SceneLike, duration: float,
              f'above {_MAX_ERROR:g} of the largest: {most[worst]:.1g} of {largest[worst]:.3g} by '
              f'{names[worst]}')
     t = scene.step * np.arange(steps // count, steps + 1, steps // count)
-    return Sensitivities(names, t, seen[:, 0], jacobian, error)
+    return Sensitivities(names, t, value.reshape(shapes[0]), jacobian, error)
 
 
 def _inputs(scene, parameters):
@@ -155,16 +164,15 @@ def _outputs(batch, output, steps, count):
     return np.array(seen)
 
 
-def _derivative(base, above, below, steps):
-    """Return a derivative and its estimated error, both of the shape of the output, `base`."""
-    steps = steps.reshape(-1, *np.ones(base.ndim, dtype=int))
-    round_off = _ROUND_OFF * (np.abs(above) + np.abs(below)) / steps
-    central = (above - below) / (2.0 * steps)
-    # Half of the difference of the derivatives on both sides, which is 0 without a kink.
-    kink = (above - 2.0 * base + below) / (2.0 * steps)
+def _extrapolate(value, central, kink, steps):
+    """Return a derivative and its estimated error, (p,), from differences of all steps, (L, p)."""
+    round_off = 2.0 * _ROUND_OFF * (np.abs(value) / steps[:, np.newaxis] + np.abs(central))
+    # Half of the difference of the derivatives on both sides, which is 0 without a kink; NaN
+    # where a run fails.
     kink[1:] = (_RATIO * kink[1:] - kink[:-1]) / (_RATIO - 1.0)
-    found, error, earlier = central[0], np.full(base.shape, np.inf), [central[0]]
-    bent = np.full(base.shape, np.nan)
+    central = np.where(np.isnan(kink), np.nan, central)
+    found, error, earlier = central[0], np.full(value.shape, np.inf), [central[0]]
+    bent = np.full(value.shape, np.nan)
     for level in range(1, len(steps)):
         row = [central[level]]
         for order, before in enumerate(earlier, start=1):

@@ -158,7 +158,6 @@ class Entities:
         self._stream, self._name, self._run, self._runs = stream, track.name, run, runs
         self._body, self._path = track.body, f'{_PLANE}/{track.name}'
         self._trail: np.ndarray | None = None
-        self._named: set[str] = set()  # paths of curves
         body, points = track.body, rr.Radius.ui_points
         own, line = self._colour(), 0.5 * body.thickness
         grey, tip = (_TICKS, _COLOURS[5]) if self._runs == 1 else (own, own)
@@ -205,14 +204,11 @@ class Entities:
             self._stream.send_columns(f'{self._path}/{name}', [_time(ns)], columns)
 
     def send_curves(self, trace: Trace) -> None:
-        """Send samples of a Trace, and names and colours of its curves with the first."""
+        """Send samples of a Trace, and names and colours of its curves."""
         path, names = f'{_CURVES}/{trace.panel}/{self._name}', trace.names
-        if path not in self._named:
-            self._named.add(path)
-            self._stream.log(path, rr.SeriesLines(
-                names=[f'{self._name}: {text}' if self._runs > 1 else text for text in names],
-                colors=[self._colour(curve) for curve in range(len(names))], widths=1.5),
-                static=True)
+        self._stream.log(path, rr.SeriesLines(
+            names=[f'{self._name}: {text}' if self._runs > 1 else text for text in names],
+            colors=[self._colour(curve) for curve in range(len(names))], widths=1.5), static=True)
         for part in _blocks(len(trace.ns)):
             self._stream.send_columns(
                 path, [_time(trace.ns[part])],
