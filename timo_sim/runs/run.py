@@ -294,11 +294,12 @@ class Run(MotionFields, PointsOfArm):
         steps = np.rint(self.t / self.scene.step).astype(int).tolist()
         for model, part in self._pieces:
             # Of all samples in one call: one by one they would take most of the time.
-            tips, efforts = model.tips(self.values[part]).tolist(), self.effort[part].tolist()
-            for step, motion, tip, effort in zip(steps[part], self.values[part], tips, efforts):
+            motions = self.values[part]
+            for step, motion, tip, effort in zip(
+                    steps[part], motions, model.tips(motions), self.effort[part]):
                 found = Snapshot(
                     self.scene, model, step, round(step * self.scene.step * 1e9), motion)
-                found.tip, found.effort = tip, tuple(effort)
+                found.tip, found.effort = tip.tolist(), tuple(effort.tolist())
                 yield found
 
 
