@@ -4,7 +4,7 @@
 """
 Measures all speed targets: step, run, memory, node, start, learning, sweep.
 
-`make benchmark-speed` fills doc/speed.md and draws its plot (a quarter of an hour); `--quick`
+`make benchmark-speed` fills doc/speed.md and draws its plot (twenty minutes); `--quick`
 prints the same in a few minutes; `--parts Learning` measures one part anew.
 """
 
