@@ -19,7 +19,8 @@ import yaml
 
 import timo_sim
 from timo_sim.cli import main
-from timo_sim.fitting.record import read_log, read_table
+from timo_sim.fitting.logs import read_log
+from timo_sim.fitting.table import read_table
 
 T = 0.01 * np.arange(200)
 ANGLE, TORQUE = np.sin(T), np.cos(3.0 * T)

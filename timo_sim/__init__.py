@@ -14,7 +14,8 @@ if TYPE_CHECKING:
     from timo_sim.control.shaping import Shaper, shaper
     from timo_sim.export.c import export_c
     from timo_sim.export.fmu import export_fmu
-    from timo_sim.fitting.record import read_record, Record
+    from timo_sim.fitting.mapping import read_record
+    from timo_sim.fitting.record import Record
     from timo_sim.fitting.result import fit, Fit
     from timo_sim.runs.linear import linearize, LinearModel
     from timo_sim.runs.modes import modes
@@ -58,7 +59,7 @@ _MODULES = {
     'observer': 'control.observer',
     'open_log': 'runs.replay',
     'project_on_modes': 'scene.scene',
-    'read_record': 'fitting.record',
+    'read_record': 'fitting.mapping',
     'sensitivities': 'runs.sensitivities',
     'shaper': 'control.shaping',
     'simulate': 'runs.simulate',

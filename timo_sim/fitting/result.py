@@ -16,15 +16,17 @@ from typing import Any, NamedTuple, TYPE_CHECKING
 import numpy as np
 
 from timo_sim.extras import optional
+from timo_sim.fitting.logs import read_log
+from timo_sim.fitting.mapping import is_mapping, read_record
 from timo_sim.fitting.next import next_inputs, NextInput
 from timo_sim.fitting.objective import LOSSES, Objective
-from timo_sim.fitting.record import (
-    is_mapping, read_log, read_record, Record, SUFFIXES, unit_of)
+from timo_sim.fitting.record import Record, unit_of
 from timo_sim.fitting.problem import (
     covariance, NORMAL, Problem, r_squared, TimeIsUp, unidentified_combinations, whiteness)
 from timo_sim.fitting.posterior import Posterior, Samples
 from timo_sim.fitting.search import NUMERICAL, reason_of, Search
 from timo_sim.fitting.suspects import name_suspects, Suspect, suspects
+from timo_sim.fitting.table import SUFFIXES
 from timo_sim.runs.run import Run
 from timo_sim.scene.files import scene_text, whole_file
 from timo_sim.scene.parameters import (

@@ -42,7 +42,7 @@ def differences(function: Callable[[np.ndarray], np.ndarray], steps: np.ndarray,
     value, *shifted = np.split(function(np.vstack([
         0.0 * steps, *(number * shifts for number, _ in stencil)])), 1 + np.arange(
             len(stencil)) * len(steps))
-    slope: np.ndarray = sum(weight * each for (_, weight), each in zip(stencil, shifted))
+    slope = np.asarray(sum(weight * each for (_, weight), each in zip(stencil, shifted)))
     kink = np.full(slope.shape, np.nan)
     if order == 1:
         slope = slope - value
