@@ -29,9 +29,8 @@ class Accuracy(NamedTuple):
     step: float    # of differences; a wide one does not see how friction makes the sum jagged
 
 
-# First parts of records lead to starts, and starts are only tried: the best one is followed.
-_FIRST = Accuracy(ftol=1e-3, xtol=1e-4, max_nfev=60, step=1e-3)
-_TRY = _FIRST._replace(ftol=1e-2, max_nfev=12)
+# Starts are only tried: the best one is followed.
+_TRY = Accuracy(ftol=1e-2, xtol=1e-4, max_nfev=12, step=1e-3)
 _LOOSE = Accuracy(ftol=1e-4, xtol=1e-4, max_nfev=60, step=1e-3)
 _TIGHT = Accuracy(ftol=1e-7, xtol=1e-7, max_nfev=60, step=1e-6)
 _MAX_SEARCHES = 6  # most searches with standard deviations from the one before
@@ -151,7 +150,7 @@ class Search:
 
         for start in self._starts(starts or _MAX_STARTS):
             self.tried = len(firsts) + 1
-            first = self._solve(_FIRST, start, part)
+            first = self._solve(_LOOSE, start, part)
             text = (f'start {self.tried} of {most}: rms residual {rms(start):.3g} -> '
                     f'{rms(first.x):.3g} deviations in the first part')
             # Where the arm hardly moves at first, all starts fit that part equally well: their
