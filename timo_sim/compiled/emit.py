@@ -602,6 +602,8 @@ def emit(entry: Any, kinds: tuple[type, ...]) -> bytes:
     passes = llvm.create_new_module_pass_manager()
     passes.add_global_dead_code_eliminate_pass()
     passes.add_sroa_pass()
+    # What does not depend on sizes is combined here once, not again for each size.
+    passes.add_instruction_combine_pass()
     passes.add_simplify_cfg_pass()
     passes.run(module, builder)
     return module.as_bitcode()
