@@ -200,6 +200,11 @@ def load(entry: Any, constants: tuple[Any, ...]) -> int:
         return _ADDRESSES[name]
 
 
+def loaded() -> list[str]:
+    """Return the names of the files of the machine code that this process has loaded."""
+    return [f'{name}.o' for name in _ADDRESSES]
+
+
 def _compile(entry, kinds, symbols, name):
     tell = _TELL.get()
     if tell:

@@ -136,6 +136,17 @@ def read(name: str) -> bytes | None:
     return None
 
 
+def _sealed(data):
+    return hashlib.sha256(data).digest() + data
+
+
+def copy(name: str, path: Path) -> None:
+    """Copy a file of the package or the store to a new path, if there is a whole one."""
+    data = read(name)
+    if data is not None:
+        path.write_bytes(_sealed(data))
+
+
 def write(name: str, data: bytes) -> None:
     """Write a file of the store, or warn; without a folder, of which is warned, do nothing."""
     if store_directory() is None:
@@ -143,7 +154,7 @@ def write(name: str, data: bytes) -> None:
     unfinished = uuid.uuid4().hex
     try:
         with _file(unfinished, 'xb') as file:
-            file.write(hashlib.sha256(data).digest() + data)
+            file.write(_sealed(data))
         with _opened(store_directory()) as folder:
             os.replace(unfinished, name, src_dir_fd=folder, dst_dir_fd=folder)
     except OSError as error:

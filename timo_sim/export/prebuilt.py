@@ -16,18 +16,16 @@ rest when somebody needs it.
 from collections.abc import Iterator
 from concurrent.futures import ProcessPoolExecutor
 from itertools import product
-import os
 from pathlib import Path
 import shutil
 import sys
-import tempfile
 from typing import Any
 
 from timo_sim.compiled import machine, store
 from timo_sim.compiled.entry import EntryPoint
 from timo_sim.compiled.functions import Constants
 from timo_sim.export import instance
-from timo_sim.model import exact_code, functions, modes, newton
+from timo_sim.model import bodies, exact_code, functions, modes, newton
 from timo_sim.scene.scene import load_scene
 from timo_sim.simulation.finer import EstimatingSimulator
 from timo_sim.steps import bristles, etdrk4, lanes, loads
@@ -53,7 +51,7 @@ _KINDS: dict[str, list[type]] = {
 
 def entries() -> Iterator[tuple[EntryPoint, tuple[type, ...]]]:
     """Yield the entry points, each with the kinds of its constants."""
-    for module in modes, functions, etdrk4, instance, lanes, loads:
+    for module in bodies, modes, functions, etdrk4, instance, lanes, loads:
         for entry in vars(module).values():
             if not isinstance(entry, EntryPoint) or entry.__module__ != module.__name__:
                 continue
@@ -64,25 +62,33 @@ def entries() -> Iterator[tuple[EntryPoint, tuple[type, ...]]]:
                     yield entry, kinds
 
 
-def compile_usual(values: dict[str, Any]) -> None:
-    """Compile what runs and nodes with some values of a scene need, and runs that are finer."""
+def compile_usual(values: dict[str, Any]) -> list[str]:
+    """
+    Compile what runs and nodes with some values of a scene need, and runs that are finer.
+
+    Return the names of the files of machine code.
+    """
     EstimatingSimulator(load_scene(values)).warm_up(messages=True)
+    return machine.loaded()
 
 
 def build(folder: str, editable: bool) -> None:
-    """Write the code that an installation has to files of a new folder."""
+    """
+    Write the code that an installation has to files of a new folder.
+
+    What the store of this user has is not compiled again.
+    """
     shutil.rmtree(folder, ignore_errors=True)
-    with tempfile.TemporaryDirectory() as root:
-        os.environ['NUMBA_CACHE_DIR'] = root
-        for entry, kinds in [] if editable else entries():
-            machine.intermediate_code(entry, kinds)
-        with ProcessPoolExecutor(4) as pool:
-            list(pool.map(compile_usual, [{}] if editable else USUAL))
-        Path(folder).mkdir()
-        directory = store.store_directory()
-        for made in directory.iterdir() if directory else []:
-            if made.suffix != '.lock':
-                shutil.copyfile(made, Path(folder, made.name))
+    names = []
+    for entry, kinds in [] if editable else entries():
+        machine.intermediate_code(entry, kinds)
+        names.append(machine.file_name(entry, kinds))
+    with ProcessPoolExecutor(4) as pool:
+        for loaded in pool.map(compile_usual, [{}] if editable else USUAL):
+            names += loaded
+    Path(folder).mkdir()
+    for name in {*names}:
+        store.copy(name, Path(folder, name))
 
 
 if __name__ == '__main__':
