@@ -27,7 +27,7 @@ from std_srvs.srv import Trigger
 import timo_sim
 from timo_sim.log.info import info
 from timo_sim.log.tables import Recording
-from timo_sim.ros.loop import Pace
+from timo_sim.ros.loop import Gate, Pace
 
 
 def test_constant_force_gives_momentum_force_times_time(start, client):
@@ -107,6 +107,16 @@ def test_a_delay_is_caught_up_and_counted_and_what_is_too_long_is_dropped():
     pace.set(1.0, 0.1, 0, 100.0)
     assert pace.due(0, 102.0) == 100 and pace.due(100, 102.001) == 1
     assert (pace.overruns, pace.dropped_steps) == (0, 0)
+
+
+def test_looking_for_a_command_lengthens_a_wait_by_a_fiftieth_at_most_and_costs_little():
+    gate, now, looks = Gate(1, 1.0), 100.0, 0
+    while now < 110.0:
+        assert gate.must_wait(0, now, False, lambda: True)
+        look = gate.poll(now)
+        assert look <= max(1e-4, 0.02 * (now - 100.0))
+        now, looks = now + look, looks + 1
+    assert looks < 1300  # of some 10 us each
 
 
 def test_a_new_limit_alone_keeps_the_deadlines():

@@ -23,6 +23,7 @@ from timo_sim.topics.outputs import NANOSECONDS
 _TICK_TIME = 1e-3          # [s] of wall time; shorter steps are done several at a time
 _PAUSED_POLL = 0.01   # [s] of wall time between two checks of a paused loop
 _COMMAND_POLL = 1e-4  # [s] of wall time between two checks for the command that a step waits for
+_PART_OF_WAIT = 0.02  # by which looking for it less often may lengthen a wait
 _REPETITION = 0.2     # [s] of wall time after which a state is published again while time stands
 _BATCH = 500          # most steps of one compiled call, so that no other thread waits long for it
 # In lock step these topics are published at each state that waits for a command, not at a rate.
@@ -89,7 +90,7 @@ class Loop:
         self._advance(1 if self.gate.waiting else _BATCH if free else min(
             self.pace.due(self.simulator.steps, now), _BATCH), stop)
         if self.gate.waiting:
-            return _COMMAND_POLL
+            return self.gate.poll(now)
         return 0.0 if free else self.pace.deadline(self.simulator.steps) - time.monotonic()
 
     def _advance(self, count, stop):
@@ -360,6 +361,11 @@ class Gate:
     def waiting(self) -> bool:
         """Whether a step waits."""
         return self.waits is not Waiting.NOT
+
+    def poll(self, now: float) -> float:
+        """Return the time from a wall time to the next look for a command [s]."""
+        waited = now - self._since if self._since is not None else 0.0
+        return min(max(_COMMAND_POLL, _PART_OF_WAIT * waited), _PAUSED_POLL)
 
     def takes_commands(self, step: int) -> bool:
         """Return whether commands may begin to act at a step."""
