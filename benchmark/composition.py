@@ -27,7 +27,7 @@ import numpy as np
 
 from benchmark.report import make_page, table
 import timo_sim
-from timo_sim.export.c import link
+from timo_sim.export.c import link, write_c
 from timo_sim.export.constants import interface_of
 from timo_sim.model.layout import Motion
 from timo_sim.export.ros2_control import write_hardware
@@ -302,7 +302,7 @@ def _run_shared(library, scene):
 def c_and_fmu(scene):
     """A C library has the bits of Simulator, and there is an FMU."""
     with tempfile.TemporaryDirectory() as folder:
-        timo_sim.export_c(scene, folder)
+        write_c(scene, folder, derivatives=False)  # of which another column is
         library = Path(folder, 'arm.so')
         library.write_bytes(link(folder, ['arm.o'], 'arm_*'))
         _run_shared(library, scene)

@@ -3,6 +3,7 @@
 
 """A scene in C: the bits of `Simulator`, bad calls, what is refused, other processors."""
 
+from functools import partial
 import os
 from pathlib import Path
 import re
@@ -13,6 +14,7 @@ import sys
 import numpy as np
 import pytest
 import timo_sim
+from timo_sim.export.c import write_c
 from timo_sim.export.constants import interface_of
 from timo_sim.model.layout import FORCE_X, LOADS, place, TORQUE
 from timo_sim.scene.loads import CHANNELS
@@ -89,6 +91,10 @@ SCENES = {
 }
 
 
+# Derivatives of steps take most of the time of an export.
+export = partial(write_c, derivatives=False)
+
+
 def scene_of(changes):
     return timo_sim.load_scene('paper', {**NO_LOADS, **changes})
 
@@ -143,7 +149,7 @@ def compare(scene, folder, calls=30):
 def test_bits(name, tmp_path):
     """Motions in C are those of Simulator, and the object file refers to nothing else."""
     scene = scene_of(SCENES[name])
-    timo_sim.export_c(scene, tmp_path)
+    export(scene, tmp_path)
     found = subprocess.run(['nm', '-u', tmp_path / 'arm.o'], check=True, stdout=subprocess.PIPE)
     assert found.stdout == b''
     state, motion, states, motions, tip, tips = compare(scene, tmp_path)
@@ -167,7 +173,7 @@ def test_derivatives_are_those_of_python(name, tmp_path):
     held = np.where(np.arange(LOADS) == numbers[place].column, 0.7, 0.0)
     simulator.advance(9, held)
     simulator.advance(3, held)
-    rows = run_program(compile_program(RUN, tmp_path), [
+    rows = run_program(compile_program(RUN, tmp_path, '-DDERIVATIVES'), [
         f'i {place} {0.7.hex()}', 's 9', f'i {place} {1.4.hex()}', 'd',  # of a step not done
         f'i {place} {0.7.hex()}', 's 3', f'i {place} {(-0.4).hex()}', 'd', 's 1', 'o'])[1:]
     command = (-0.4, 0.0) if name == 'locked' else -0.4
@@ -199,7 +205,7 @@ FORCES = {
 def test_sensors_forces_and_energy(name, tmp_path):
     """They are those of a Snapshot; accelerations of both are differences, good to some 1e-8."""
     scene, random = scene_of(FORCES[name]), np.random.default_rng(2)
-    timo_sim.export_c(scene, tmp_path)
+    export(scene, tmp_path)
     simulator, lines, wanted = timo_sim.Simulator(scene), [], []
     for _ in range(12):
         commanded = np.zeros(LOADS)
@@ -224,7 +230,7 @@ def test_sensors_forces_and_energy(name, tmp_path):
 
 def test_other_processors_differ_by_round_off(tmp_path):
     scene = scene_of({})
-    timo_sim.export_c(scene, tmp_path, 'x86-64-v2')
+    export(scene, tmp_path, 'x86-64-v2')
     assert b'' == subprocess.run(['nm', '-u', tmp_path / 'arm.o'], check=True,
                                  stdout=subprocess.PIPE).stdout
     _, motion, _, motions, *_ = compare(scene, tmp_path)
@@ -233,7 +239,7 @@ def test_other_processors_differ_by_round_off(tmp_path):
 
 def test_code_for_aarch64(tmp_path):
     """Its ELF header has the machine EM_AARCH64, 183."""
-    timo_sim.export_c(scene_of({'model.modes': 0}), tmp_path, 'aarch64')  # the least code
+    export(scene_of({'model.modes': 0}), tmp_path, 'aarch64')  # the least code
     content = (tmp_path / 'arm.o').read_bytes()
     assert content[:4] == b'\x7fELF' and int.from_bytes(content[18:20], 'little') == 183
     assert b'' == subprocess.run(['nm', '-u', tmp_path / 'arm.o'], check=True,
@@ -251,7 +257,7 @@ def test_an_emulated_aarch64_differs_by_round_off(name, estimate, tmp_path):
     for target, options, cc, emulator in (
             ('host', [], CC, []), ('aarch64', ['-static'], ARM, [QEMU])):
         folder = tmp_path / target
-        timo_sim.export_c(scene, folder, target, estimate=estimate)
+        export(scene, folder, target, estimate=estimate)
         found.append(run_program(compile_program(RUN, folder, *options, cc=cc), [
             f'i {torque} 4', *20 * ['s 10', 'o']], *emulator))
     here, there = np.array(found)
@@ -263,7 +269,7 @@ def test_an_emulated_aarch64_differs_by_round_off(name, estimate, tmp_path):
 
 def test_saved_state_goes_on_to_the_bit(tmp_path):
     """Also of the finer run; and a reset begins anew."""
-    timo_sim.export_c('paper', tmp_path, estimate=True)
+    export('paper', tmp_path, estimate=True)
     begin, going_on = ['i 4 0.7', 's 20'], ['w', 's 15', 'o', 'w']
     found = run_program(compile_program(RUN, tmp_path), [
         *begin, 'g', *going_on, 'i 4 -1', 's 40', 'p', *going_on, 'r', *begin, *going_on])
@@ -276,7 +282,7 @@ def test_parameters_that_are_set_are_those_of_a_changed_scene(tmp_path):
     scene = scene_of({'motor.torque_rate_limit': 40.0, 'carrier.force_limit': 3.0})
     changes = {'motor.torque_rate_limit': 17.0, 'carrier.force_limit': 1.5,
                'motor.torque_limit': 0.9}
-    timo_sim.export_c(scene, tmp_path)
+    export(scene, tmp_path)
     interface, simulator = interface_of(scene, False), timo_sim.Simulator(scene)
     columns, titles = ([getattr(each, name) for each in group] for name, group in (
         ('column', interface.inputs), ('title', interface.parameters)))
@@ -301,7 +307,7 @@ def test_parameters_that_are_set_are_those_of_a_changed_scene(tmp_path):
 def test_estimated_error(tmp_path):
     """It is that of Simulator, up to the round-off of two positions of the tip, about 1 m."""
     scene = timo_sim.load_scene('paper')
-    timo_sim.export_c(scene, tmp_path, estimate=True)
+    export(scene, tmp_path, estimate=True)
     simulator, torque = timo_sim.EstimatingSimulator(scene), np.zeros(LOADS)
     torque[4], errors = 2.0, []
     for _ in range(100):
@@ -316,7 +322,7 @@ def test_estimated_error(tmp_path):
     ({}, True), ({'carrier.held': 'y'}, False),
     ({'motor.shaft': 'locked', 'model.formulation': 'newton'}, False)])
 def test_bad_calls_return_codes(changes, estimate, tmp_path):
-    timo_sim.export_c(scene_of(changes), tmp_path, estimate=estimate)
+    export(scene_of(changes), tmp_path, estimate=estimate)
     check = ['-fsanitize=address,undefined'] if subprocess.run(
         [CC, '-fsanitize=address,undefined', '-x', 'c', '-', '-o', tmp_path / 'tried'],
         input=b'int main(void) { return 0; }', capture_output=True).returncode == 0 else []

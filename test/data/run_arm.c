@@ -34,12 +34,14 @@ int main(void)
             for (int k = 0; k < ARM_OUTPUTS; ++k)
                 printf("%a ", outputs[k]);
             printf("\n");
+#ifdef DERIVATIVES
         } else if (what == 'd') {
             double found[ARM_MOTION + ARM_INPUTS][ARM_MOTION];
             code = arm_step_derivatives(instance, found);
             for (int k = 0; k < (ARM_MOTION + ARM_INPUTS) * ARM_MOTION; ++k)
                 printf("%a ", found[0][k]);
             printf("\n");
+#endif
         } else if (what == 'w') {
             code = arm_get_state(instance, shown);
             for (int k = 0; k < ARM_STATE_SIZE; ++k)
