@@ -186,7 +186,7 @@ def test_steep_friction_is_found_with_shorter_steps():
     with pytest.raises(timo_sim.ParameterError, match='must be at most'):
         timo_sim.load_scene({}, {**ARM, **MOTOR, **truth})
     guess = {**ARM, **MOTOR, 'motor.coulomb_friction': 0.07, 'motor.coulomb_speed': 0.1}
-    found = timo_sim.fit(guess, record, list(truth))
+    found = timo_sim.fit(guess, record, list(truth), quick=True)
     # These steps are near the longest that are stable, which shows in the steep part.
     assert found.values['motor.coulomb_friction'] == pytest.approx(0.1, rel=2e-3)
     assert found.values['motor.coulomb_speed'] == pytest.approx(0.01, rel=0.1)
@@ -198,7 +198,7 @@ def test_sensors_are_fitted():
               'tip_transverse.delay': 0.0073, 'tip_transverse.lag': 0.02, 'voltage.bias': 0.05}
     scene = {**ARM, **MOTOR}
     record = predicted(scene, {'voltage': (T, VOLTAGE)}, ['shaft', 'tip_transverse'], values)
-    found = timo_sim.fit(scene, record, list(values))
+    found = timo_sim.fit(scene, record, list(values), quick=True)
     assert found.values == pytest.approx(values, rel=1e-3)
 
 
@@ -258,7 +258,8 @@ def test_what_is_held_out_is_not_fitted():
     channel = record.outputs['shaft']
     other = timo_sim.Record.of(record.inputs, {
         'shaft': channel._replace(values=channel.values + late)}, {})
-    one, two = (timo_sim.fit(guess, each, free, hold_out=0.5) for each in (record, other))
+    one, two = (timo_sim.fit(guess, each, free, hold_out=0.5, quick=True)
+                for each in (record, other))
     assert one.values == two.values
     assert one.errors['shaft'].rms == pytest.approx(1e-3, rel=0.1)
     assert one.errors['shaft'].hold_out_rms == pytest.approx(1e-3, rel=0.1)
@@ -282,7 +283,7 @@ def test_a_loss_against_outliers():
     record = timo_sim.Record.of(record.inputs, {'shaft': (T, spoiled)})
     errors = []
     for loss in ('linear', 'cauchy'):
-        found = timo_sim.fit(scene, record, free, loss=loss)
+        found = timo_sim.fit(scene, record, free, loss=loss, quick=True)
         errors.append(abs(np.log(found.values['motor.viscous_friction'] / 0.01)))
     assert errors[1] < 0.01 and errors[1] < 0.5 * errors[0]
 
@@ -313,7 +314,7 @@ def test_windows_need_no_initial_state():
     guess = timo_sim.load_scene(scene, {'motor.coulomb_friction': 0.03,
                                         'arm.young_modulus': 1.8e11})
     found = timo_sim.fit(guess, record, ['motor.coulomb_friction', 'arm.young_modulus'],
-                         window=1.0)
+                         window=1.0, quick=True)
     assert found.values == pytest.approx(
         {'motor.coulomb_friction': 0.02, 'arm.young_modulus': 2e11}, rel=0.01)
     assert found.errors['shaft'].r_squared > 0.999
@@ -328,7 +329,7 @@ def test_the_initial_state_is_fitted():
     record = predicted({**ARM, 'initial.shaft': 0.3, 'initial.shaft_velocity': 0.5,
                         'initial.modal_coordinates': [0.004, 0.0, 0.0],
                         'initial.modal_rates': [0.05, 0.0, 0.0]}, {}, ['shaft', 'tip_transverse'])
-    found = timo_sim.fit(ARM, record, ['initial', 'motor.viscous_friction'])
+    found = timo_sim.fit(ARM, record, ['initial', 'motor.viscous_friction'], quick=True)
     assert found.values == pytest.approx({**moving, 'motor.viscous_friction': 0.01}, abs=1e-6)
 
 
@@ -391,7 +392,7 @@ def test_values_that_a_scene_cannot_have_are_told():
     step = float(re.search('at most (.*) s for', str(caught.value))[1])
     guess = {**scene, 'motor.coulomb_friction': 0.001, 'integrator.step': 40.0 * step}
     with pytest.warns(timo_sim.ModelWarning, match='ended where values are refused.*slope'):
-        timo_sim.fit(guess, record, ['motor.coulomb_friction'], starts=1)
+        timo_sim.fit(guess, record, ['motor.coulomb_friction'], starts=1, quick=True)
 
 
 def test_a_search_ends_where_a_run_is_possible():
@@ -477,7 +478,7 @@ def test_coarse_steps_are_told():
     with pytest.warns(timo_sim.ModelWarning, match='tip_acceleration differs by .* more '
                                                    'model.modes or a smaller integrator.step'):
         timo_sim.fit({**ARM, 'integrator.step': 0.01, 'model.modes': 1}, record,
-                     ['arm.young_modulus'])
+                     ['arm.young_modulus'], quick=True)
 
 
 def test_intervals_with_correlated_residuals_hold_the_truth():

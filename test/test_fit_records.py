@@ -58,10 +58,10 @@ def test_a_fit_finds_the_truth_from_a_wrong_guess():
     record = made(np.where(T > 0.8, 0.1 * np.sin((6.0 + 20.0 * T) * T), 0.0), 3)
     guess = wrong(9.0, 1 / 3.0, 3.0, 1 / 3.0)
     with pytest.warns(timo_sim.ModelWarning):
-        alone = timo_sim.fit(guess, record, [*TRUTH], starts=1)
+        alone = timo_sim.fit(guess, record, [*TRUTH], starts=1, quick=True)
     assert not alone.white
     told = []
-    found = timo_sim.fit(guess, record, [*TRUTH], tell=told.append)
+    found = timo_sim.fit(guess, record, [*TRUTH], tell=told.append, quick=True)
     assert distances(found).max() < 4.0
     assert found.white
     assert 1 < found.starts <= 16
@@ -121,7 +121,7 @@ def test_records_share_the_physics_and_have_states_and_biases_of_their_own():
     records = [made(SQUARE, 1, 0.3, 0.02), made(CHIRP, 2, -0.2, -0.01, size=3.0)]
     found = timo_sim.fit(wrong(1.2, 0.8, 1.3, 0.9), records,
                          [*TRUTH, 'initial.shaft', 'tip_transverse.bias'],
-                         hold_out_records=[made(SQUARE, 5, 0.9)])
+                         hold_out_records=[made(SQUARE, 5, 0.9)], quick=True)
     own = {'initial.shaft (record 1)': 0.3, 'initial.shaft (record 2)': -0.2,
            'tip_transverse.bias (record 1)': 0.02, 'tip_transverse.bias (record 2)': -0.01}
     assert distances(found, {**TRUTH, **own}).max() < 4.0
@@ -150,7 +150,7 @@ def test_a_delay_is_the_sensors_in_all_records():
             name: (T[::every] + late, record.outputs[name].values[::every])
             for name, late in {'shaft': 0.0, 'tip_transverse': delay}.items()}))
     found = timo_sim.fit(wrong(1.1, 0.9, 1.1, 0.9), records[:2], [*TRUTH, 'tip_transverse.delay'],
-                         hold_out_records=records[2:])
+                         hold_out_records=records[2:], quick=True)
     assert [name for name in found.estimates if 'delay' in name] == ['tip_transverse.delay']
     assert distances(found, {**TRUTH, 'tip_transverse.delay': delay}).max() < 4.0
     # A record that is held out is predicted to its noise.
@@ -161,11 +161,11 @@ def test_a_delay_is_the_sensors_in_all_records():
 def test_the_next_input_narrows_the_interval_as_predicted():
     """Records made with each input, and fitted beside the first, are the oracle."""
     first = made(SQUARE, 1)
-    found = timo_sim.fit(SCENE, first, [*TRUTH])
+    found = timo_sim.fit(SCENE, first, [*TRUTH], quick=True)
     tried = found.next_input()
     assert {each.kind for each in tried} == {'step', 'chirp', 'multisine', 'again'}
     for each in tried:
-        both = timo_sim.fit(SCENE, [first, made(each.values, 7)], [*TRUTH])
+        both = timo_sim.fit(SCENE, [first, made(each.values, 7)], [*TRUTH], quick=True)
         ratio = (both.estimates[each.widest].deviation
                  / found.estimates[each.widest].deviation)
         # Deviations are those of noise which is estimated from 1000 samples, within 5 %.

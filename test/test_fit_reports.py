@@ -161,7 +161,8 @@ COARSE = T[::4]
 
 
 def shaft_of(damping, inertia):
-    """Return the angle of a rigid shaft under a torque of 0.1 N m that begins at rest, (n,)."""
+    """Return the angles of rigid shafts under 0.1 N m that begin at rest, shape (..., n)."""
+    damping, inertia = np.expand_dims(damping, -1), np.expand_dims(inertia, -1)
     rate = damping / inertia
     return 0.1 / damping * (COARSE + np.expm1(-rate * COARSE) / rate)
 
@@ -180,7 +181,7 @@ def rigid():
     measured = timo_sim.Record.of({'torque': (COARSE, np.full(count, 0.1))}, {
         'shaft': Channel(COARSE, seen, noise)})
     found = timo_sim.fit(scene, measured, ['motor.viscous_friction', 'motor.shaft_inertia'])
-    return lambda x: np.sum(((shaft_of(*np.exp(x)) - seen) / noise)**2), found
+    return lambda x: np.sum(((shaft_of(*np.exp(x)) - seen) / noise)**2, axis=-1), found
 
 
 def test_profile_intervals_are_those_of_the_least_squares(rigid):
@@ -207,8 +208,7 @@ def test_samples_are_those_of_the_posterior(rigid):
     samples = found.sample(4000, seed=3)
     axes = [np.linspace(-3.5, 0.5, 200), np.linspace(0.4, 0.9, 100)]
     least = squares(np.log([*found.values.values()]))
-    weights = np.array([[np.exp(-0.5 * (squares([a, b]) - least)) for b in axes[1]]
-                        for a in axes[0]])
+    weights = np.exp(-0.5 * (squares(np.meshgrid(*axes, indexing='ij')) - least))
     for k, (name, axis) in enumerate(zip(found.estimates, axes)):
         whole = np.cumsum(weights.sum(axis=1 - k))
         drawn = np.log(samples.values[name])

@@ -50,7 +50,7 @@ def fits():
         record = timo_sim.Record.of({'torque': (T, TORQUE)}, {
             name: (T, values + NOISE[name] * random.standard_normal(len(T)))
             for name, values in shown.items()})
-        found.append(timo_sim.fit(guess, record, [*TRUTH]))
+        found.append(timo_sim.fit(guess, record, [*TRUTH], starts=1))
     return found
 
 
