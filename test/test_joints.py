@@ -30,7 +30,7 @@ SCENES = {
 @pytest.mark.parametrize('values', SCENES.values(), ids=SCENES)
 def test_energy_is_the_work_of_efforts_minus_losses(values):
     scene = timo_sim.load_scene({}, {'integrator.step': 0.0005, **LOSSES, **values})
-    run = timo_sim.simulate(scene, 2.0)
+    run = timo_sim.simulate(scene, 2.0, estimate=False)
     done = work(np.rint(run.t * 1e9), run.values[:, :3],
                 np.column_stack([run.carrier_velocity, run.shaft_velocity]), run.effort)
     left = run.energy() - run.energy()[0] + run.dissipated() - np.append(0.0, np.cumsum(done))
@@ -42,7 +42,7 @@ def test_energy_is_the_work_of_efforts_minus_losses(values):
 def test_a_driven_rigid_arm_on_a_carrier_held_along_x():
     """Momentum along y is 0; drive and guide give the rates of momentum and of spin."""
     scene = timo_sim.load_scene({}, {**TURN, 'carrier.held': 'x', 'model.modes': 0})
-    body, run = scene.manipulator, timo_sim.simulate(scene, 2.0)
+    body, run = scene.manipulator, timo_sim.simulate(scene, 2.0, estimate=False)
     section, length = body.arm.section, body.arm.length
     beam = section.mass_per_length * length
     static = beam * length / 2.0 + body.end_effector_mass * length
@@ -67,7 +67,7 @@ def test_force_on_a_held_carrier_is_the_rate_of_momentum_minus_the_loads(formula
         'model.formulation': formulation, **SCENES['carrier held'], 'initial.shaft_velocity': 4.0,
         'load.tip_force_x.harmonic.amplitude': [1.0], 'integrator.step': 0.0005,
         'load.tip_force_x.harmonic.frequency': [3.0]})
-    run, step = timo_sim.simulate(scene, 2.0), scene.step
+    run, step = timo_sim.simulate(scene, 2.0, estimate=False), scene.step
     p = run.momentum()[:, :2]
     rate = (p[:-4] - 8 * p[1:-3] + 8 * p[3:-1] - p[4:]) / (12 * step)
     t = run.t[2:-2]
@@ -83,7 +83,7 @@ def test_efforts_agree_between_steps_log_and_run(tmp_path):
         **SCENES['y held'], 'motor.coulomb_friction': 2.0, 'initial.shaft': 0.0,
         'load.tip_force_y.harmonic.amplitude': [2.0],
         'load.tip_force_y.harmonic.frequency': [0.7]})
-    run, simulator = timo_sim.simulate(scene, 2.0), Simulator(scene)
+    run, simulator = timo_sim.simulate(scene, 2.0, estimate=False), Simulator(scene)
     efforts, strains = [], []
     for _ in run.t[1:]:
         simulator.advance(1)
@@ -122,13 +122,13 @@ def shaft_inertia(scene):
 def test_viscous_friction_brakes_exponentially():
     scene = timo_sim.load_scene({}, {**RIGID, 'motor.viscous_friction': 3.0,
                                      'initial.shaft_velocity': 2.0})
-    run = timo_sim.simulate(scene, 5.0)
+    run = timo_sim.simulate(scene, 5.0, estimate=False)
     speed = 2.0 * np.exp(-3.0 * run.t / shaft_inertia(scene))
     assert np.abs(run.shaft_velocity - speed).max() < 1e-12
     rolling = timo_sim.load_scene({'model.modes': 0, 'motor.shaft': 'locked', 'carrier.held': 'y',
                                    'carrier.viscous_friction': 4.0,
                                    'initial.carrier_x_velocity': 1.0})
-    run = timo_sim.simulate(rolling, 5.0)
+    run = timo_sim.simulate(rolling, 5.0, estimate=False)
     speed = np.exp(-4.0 * run.t / rolling.build().mass)
     # This friction is not in the linear part: the error of a step is (c h/m)^5.
     assert np.abs(run.carrier_velocity[:, 0] - speed).max() < 1e-12

@@ -65,7 +65,7 @@ def test_a_bag_of_commands_gives_the_run_with_these_loads(bag, paper, tmp_path):
         'load.force_x.harmonic.amplitude': [], 'load.force_x.harmonic.frequency': [],
         'load.force_x.harmonic.phase': [], **SCENE})
     step, _, motion = recording.motion()
-    run = timo_sim.simulate(scene, 1.5, sample_every=10)
+    run = timo_sim.simulate(scene, 1.5, sample_every=10, estimate=False)
     assert step.tolist() == list(range(0, 1501, 10))
     # The same loads, added in another order.
     assert np.abs(motion - run.values).max() < 1e-12
@@ -114,7 +114,7 @@ def states_of(torques, last):
     """Return positions and velocities every 10 ms of the default arm with these torques."""
     scene = timo_sim.load_scene({'load.torque.piecewise.time': [time for time, _ in torques],
                                  'load.torque.piecewise.value': [value for _, value in torques]})
-    motion = timo_sim.simulate(scene, last, sample_every=10).values
+    motion = timo_sim.simulate(scene, last, sample_every=10, estimate=False).values
     half = motion.shape[1] // 2
     return np.hstack([motion[:, :3], motion[:, half:half + 3]])
 
@@ -267,7 +267,7 @@ SAVED = {
 @pytest.mark.parametrize('values', SAVED.values(), ids=SAVED)
 def test_a_row_is_the_motion_and_the_effort_before_it(values, tmp_path):
     """In a run, its table, its log and a simulator alike; a replay of the log is the same."""
-    run = timo_sim.simulate(timo_sim.load_scene('arm', {**JUMP, **values}), 0.04)
+    run = timo_sim.simulate(timo_sim.load_scene('arm', {**JUMP, **values}), 0.04, estimate=False)
     torque = np.where(run.t < 0.0205, 1.0, -2.0)
     if 'motor.dc.current_limit' not in values:  # 0.95 N m and the back-EMF
         assert run.effort[:, 2] == pytest.approx(torque)

@@ -138,8 +138,9 @@ SATURATED = {
 @pytest.mark.parametrize('name', SATURATED)
 def test_beyond_the_limit_a_motor_is_a_constant_torque_without_back_emf(name):
     """Under a voltage out of reach of the back-EMF; dry friction is no part of the current."""
-    scene = timo_sim.load_scene({}, {**MOTOR, **SATURATED[name]})
-    source = timo_sim.load_scene(SATURATED[name], {'motor.dc.gear_ratio': 50.0})
+    values = {'model.modes': 1, **SATURATED[name]}
+    scene = timo_sim.load_scene({}, {**MOTOR, **values})
+    source = timo_sim.load_scene(values, {'motor.dc.gear_ratio': 50.0})
     motor, torque = timo_sim.Simulator(scene), timo_sim.Simulator(source)
     for sign in (1.0, 1.0, -1.0):
         motor.step(duration=0.1, voltage=sign * 100.0)
@@ -158,7 +159,8 @@ def test_beyond_the_limit_a_motor_is_a_constant_torque_without_back_emf(name):
 
 @pytest.mark.parametrize('name', SATURATED)
 def test_a_limit_that_is_not_reached_changes_nothing(name):
-    scene = timo_sim.load_scene({}, {**MOTOR, **SATURATED[name], 'motor.dc.current_limit': 1e3})
+    scene = timo_sim.load_scene({}, {
+        **MOTOR, **SATURATED[name], 'model.modes': 1, 'motor.dc.current_limit': 1e3})
     found, expected = timo_sim.Simulator(scene), timo_sim.Simulator(scene.vary(UNLIMITED))
     for voltage in (20.0, -30.0):
         found.step(duration=0.1, voltage=voltage)

@@ -316,7 +316,7 @@ def test_what_does_not_fit_together_is_refused(values, told):
     {'model.axial_modes': 1, 'motor.coulomb_asymmetry': 0.4}], ids=str)
 def test_a_batch_does_what_a_simulator_does(more):
     """One lane is without friction of the shaft; bits depend on its own numbers alone."""
-    scene = timo_sim.load_scene({}, {**LIVELY, **SHAKEN, **more})
+    scene = timo_sim.load_scene({}, {**LIVELY, **SHAKEN, 'model.modes': 1, **more})
     scenes = [scene.vary({'motor.coulomb_friction': limit, 'arm.length': 2.0 + 0.01 * limit})
               for limit in np.linspace(1.0, 3.0, 9)]
     scenes[3] = scene.vary({f'motor.coulomb_{name}': 0.0 for name in (
