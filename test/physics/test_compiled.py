@@ -225,7 +225,7 @@ for modes in sys.argv[1]:
         # The modes of an arm with a profile call no compiled function.
         'arm.profile.position': [0.0, 2.0], 'arm.profile.height': [0.02, 0.02]})
     with machine.telling(lambda text: print(text, file=sys.stderr)):
-        print(timo_sim.Simulator(scene).advance(20)[0][-1].tobytes().hex())
+        print(timo_sim.Simulator(scene).advance(20, sample_every=20)[0][-1].tobytes().hex())
 """
 
 
