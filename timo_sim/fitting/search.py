@@ -182,7 +182,7 @@ class Search:
             and whiteness(r) < _HARDLY_WHITE for r, (k, name, measured) in zip(
                 objective.split(objective.residuals(x)), objective.series()))
 
-    def _starts(self, count) -> Iterator[np.ndarray]:
+    def _starts(self, count: int) -> Iterator[np.ndarray]:
         """Yield x of the first guess, of what records suggest, and of points around that."""
         objective = self.objective
         guess = around = objective.start

@@ -271,10 +271,11 @@ class LogFile:
         with _open(self.path) as stream:
             reader = _Reader(stream)
             for record in reader.records():
-                for channel in channels if isinstance(record, Messages) else ():
-                    own = record.heads['channel'] == channel
-                    if own.any():
-                        yield channel, record.those(own)
+                if isinstance(record, Messages):
+                    for channel in channels:
+                        own = record.heads['channel'] == channel
+                        if own.any():
+                            yield channel, record.those(own)
             if reader.damage:
                 raise self._damaged(reader.damage)
 

@@ -360,6 +360,7 @@ class Recording:
 
     def _sent(self, found, command):
         """Return messages of a bag with ~/scene by the times at which they were sent."""
+        assert self.reset_times is not None
         found = found.sorted_by(found.log_ns)
         resets = np.searchsorted(self.reset_times, found.log_ns, 'right')
         if not command:
@@ -519,6 +520,7 @@ class _Collector:
 
     def _read_commands(self, data):
         """Return which of n messages are not refused, their stamps or 0 [ns], and their rows."""
+        assert self.command
         kept, stamps, rows = [], [], []
         size, alike, fixed = -1, itemgetter(0), None  # of the last layout
         for number, message in enumerate(data):

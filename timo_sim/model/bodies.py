@@ -303,10 +303,10 @@ def legendre_values(x: np.ndarray, count: int) -> tuple[np.ndarray, np.ndarray]:
 
     At points in [-1, 1], shape (n,); both have shape (n, count).
     """
-    values, integrals = found = np.empty((2, len(x), count))
+    values, integrals = np.empty((2, len(x), count))
     set_legendre(np.ascontiguousarray(x, dtype=float), len(x), count, values.ravel(),
                  integrals.ravel())
-    return found
+    return values, integrals
 
 
 @entry_point(x=Array((None,)), points=int, count=int, values=Array((None,)),

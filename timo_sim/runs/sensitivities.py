@@ -116,9 +116,9 @@ def sensitivities(scene: SceneLike, duration: float,
 
     shapes: list[tuple[int, ...]] = []
     value, slope, kink = differences(shown, np.outer(scales, changes).ravel())
-    found = [_extrapolate(value, *(each[:, k * _LEVELS:(k + 1) * _LEVELS].T
-                                   for each in (slope, kink)), scale * changes)
-             for k, scale in enumerate(scales)]
+    slopes, kinks = (each.T.reshape(len(scales), _LEVELS, -1) for each in (slope, kink))
+    found = [_extrapolate(value, central, bent, scale * changes)
+             for central, bent, scale in zip(slopes, kinks, scales)]
     jacobian, error = (np.stack(parts, axis=-1).reshape(*shapes[0], len(inputs))
                        for parts in zip(*found))
     names, outputs = tuple(name for name, _, _ in inputs), tuple(range(jacobian.ndim - 1))

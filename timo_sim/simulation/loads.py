@@ -102,8 +102,9 @@ class Actuators:
     def packed(self) -> Packed:
         """The constants with the memory of the actuators, see `steps.loads.Actuators`."""
         step, gain, (limit, rate) = self._constants
-        return pack(steps_loads.Actuators(step, gain, limit, rate, np.zeros(LOADS),
-                                          np.zeros(LOADS), np.array([self._first])))
+        return pack(steps_loads.Actuators(step, gain, np.array(limit), np.array(rate),
+                                          np.zeros(LOADS), np.zeros(LOADS),
+                                          np.array([self._first])))
 
     @property
     def slow(self) -> np.ndarray:

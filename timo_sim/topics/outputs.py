@@ -42,7 +42,7 @@ class Sensor(NamedTuple):
     topic: str
     columns: tuple[str, ...]
     read: Any = None
-    of_motion: Callable | None = None
+    of_motion: Any = None
     quantity: str = ''
     joint: str = ''
     of_gear: bool = False  # whether only scenes with an elastic gear have its topic
