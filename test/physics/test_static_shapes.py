@@ -35,7 +35,7 @@ def soft_in_shear(ratio):
 
 @pytest.mark.parametrize('shear', [{}, soft_in_shear(20.0)], ids=['slender', 'soft in shear'])
 @pytest.mark.parametrize('static', ['auto', 'none'])
-@pytest.mark.parametrize('modes', [3, 16])
+@pytest.mark.parametrize('modes', [3, 36])
 def test_the_estimate_under_a_tip_torque_is_the_distance_to_the_arc(modes, static, shear):
     values = {**BARE, **shear, 'initial.equilibrium': True, 'model.modes': modes,
               'model.static_modes': static, 'load.tip_torque.piecewise.time': [0.0]}

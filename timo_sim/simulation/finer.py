@@ -102,7 +102,7 @@ def refine(scene: Scene, parts: int, modes: int | None = None, axial: int | None
     # Bodies and constraints are the same, and checked.
     found = replace(scene, load=scene.load.on_boundaries(scene.step), step=scene.step / parts,
                     values=MappingProxyType({
-                        **values, **lists, 'model.accuracy': 0.0,
+                        **values, **_as_tuples(lists), 'model.accuracy': 0.0,
                         'model.modes': bending + modes, 'model.axial_modes': stretching + axial,
                         'integrator.step': scene.step / parts}),
                     static=static, keeps_axial=keeps_axial)
@@ -113,8 +113,12 @@ def refine(scene: Scene, parts: int, modes: int | None = None, axial: int | None
             fields = [partial(_field, each, np.array(given))
                       for each in (of.deflection, of.rotation)]
             lists[name][:size] = found.build().project_on_modes(*fields)[:size].tolist()
-        found = replace(found, values=MappingProxyType({**found.values, **lists}))
+        found = replace(found, values=MappingProxyType({**found.values, **_as_tuples(lists)}))
     return found
+
+
+def _as_tuples(lists):
+    return {name: tuple(each) if isinstance(each, list) else each for name, each in lists.items()}
 
 
 def _field(shapes, q, xi):

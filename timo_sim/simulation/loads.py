@@ -101,10 +101,10 @@ class Actuators:
     @cached_property
     def packed(self) -> Packed:
         """The constants with the memory of the actuators, see `steps.loads.Actuators`."""
-        step, gain, (limit, rate) = self._constants
-        return pack(steps_loads.Actuators(step, gain, np.array(limit), np.array(rate),
-                                          np.zeros(LOADS), np.zeros(LOADS),
-                                          np.array([self._first])))
+        step, gain, limits = self._constants
+        limit, rate = np.array(limits)
+        return pack(steps_loads.Actuators(step, gain, limit, rate, np.zeros(LOADS),
+                                          np.zeros(LOADS), np.array([self._first])))
 
     @property
     def slow(self) -> np.ndarray:
