@@ -112,7 +112,8 @@ def test_a_delay_is_caught_up_and_counted_and_what_is_too_long_is_dropped():
 def test_looking_for_a_command_lengthens_a_wait_by_a_fiftieth_at_most_and_costs_little():
     gate, now, looks = Gate(1, 1.0), 100.0, 0
     while now < 110.0:
-        assert gate.must_wait(0, now, False, lambda: True)
+        gate.look(0, now, False, lambda: True)
+        assert gate.waiting
         look = gate.poll(now)
         assert look <= max(1e-4, 0.02 * (now - 100.0))
         now, looks = now + look, looks + 1

@@ -363,9 +363,8 @@ class Gate:
         return self.waits is not Waiting.NOT
 
     def poll(self, now: float) -> float:
-        """Return the time from a wall time to the next look for a command [s]."""
-        waited = now - self._since if self._since is not None else 0.0
-        return min(max(_COMMAND_POLL, _PART_OF_WAIT * waited), _PAUSED_POLL)
+        """Return the time from a wall time in a wait to the next look for a command [s]."""
+        return min(max(_COMMAND_POLL, _PART_OF_WAIT * (now - self._since)), _PAUSED_POLL)
 
     def takes_commands(self, step: int) -> bool:
         """Return whether commands may begin to act at a step."""
