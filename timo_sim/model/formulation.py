@@ -312,7 +312,7 @@ class Formulation(ABC):
     @cached_property
     def tip_point(self) -> Points:
         """The tip, as `at` returns points."""
-        return Points._make(each[..., -1:] for each in self.points)
+        return self.at([self.manipulator.arm.length])
 
     @cached_property
     def link_ends(self) -> Points:
