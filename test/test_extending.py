@@ -74,7 +74,7 @@ def extended(tmp_path_factory):
     (package / 'model/newton_small_speed.py').write_text(FORMULATION)
     insert(package / 'model/__init__.py', '}\n', LINE)
     (package / 'steps/rk4.py').write_text(INTEGRATOR)
-    insert(package / 'steps/steps.py', '    return Propagator._make(', METHOD)
+    insert(package / 'steps/steps.py', '    return propagator(', METHOD)
     return folder
 
 

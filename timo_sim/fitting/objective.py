@@ -28,6 +28,10 @@ _PRIOR_DEVIATION = 10.0  # standard deviation of initial states of windows, in t
 _MAD = 1.4826  # standard deviations in a median absolute deviation
 
 
+def _unchanged(values):
+    return {}
+
+
 class Objective:
     """
     The residuals of several problems by x, the coordinates of all `free` and of initial states.
@@ -42,7 +46,7 @@ class Objective:
 
     def __init__(self, problems: Sequence[Problem], loss: str = 'linear') -> None:
         self.problems, self.loss = [*problems], loss
-        self._change: Callable[[Mapping[str, Any]], Mapping[str, Any]] = lambda values: {}
+        self._change: Callable[[Mapping[str, Any]], Mapping[str, Any]] = _unchanged
         names = [[f'{free.name} (record {k})' if free.is_own and len(problems) > 1 else free.name
                   for free in each.free] for k, each in enumerate(problems, 1)]
         named: dict[str, Free] = {}

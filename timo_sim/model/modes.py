@@ -345,7 +345,7 @@ def lowest_modes(arm, omega, shape, count):
         high = max(2.0 * low, least)
         while _modes_below(arm, high) <= n:
             low, high = high, 2.0 * high
-            if not high < _HIGHEST:
+            if not 0.0 < high < _HIGHEST:
                 return n
         while True:
             middle = 0.5 * (low + high)

@@ -103,8 +103,9 @@ class Actuators:
         """The constants with the memory of the actuators, see `steps.loads.Actuators`."""
         step, gain, limits = self._constants
         limit, rate = np.array(limits)
-        return pack(steps_loads.Actuators(step, gain, limit, rate, np.zeros(LOADS),
-                                          np.zeros(LOADS), np.array([self._first])))
+        return pack(steps_loads.Actuators(
+            step=step, gain=gain, limit=limit, rate=rate, goal=np.zeros(LOADS),
+            origin=np.zeros(LOADS), since=np.array([self._first])))
 
     @property
     def slow(self) -> np.ndarray:

@@ -91,11 +91,19 @@ class LaneSteps:
             state=np.zeros((lanes, len(models[0].linear))), friction=np.zeros((lanes, MEMORY)),
             progress=np.tile([1.0, 0.0], (lanes, 1)), motion=np.zeros((lanes, size)),
             tip=np.zeros((lanes, 3))))
+        packed = pack_lanes(Bristles._make(bristles_of(padded, step, bristles[rows])))
+        self.groups, self._entry = groups, entry
+        self._constants = tables, matrices, packed, lane, pack(Plan(*7 * [0]))
+        self._name_fields()
+
+    def _name_fields(self):
+        *_, lane, self._plan = self._constants
         self.constant_load, self.state, self.memory = lane.constant_load, lane.state, lane.friction
         self.progress, self.motion, self.tip = lane.progress, lane.motion, lane.tip
-        packed = pack_lanes(Bristles._make(bristles_of(padded, step, bristles[rows])))
-        self.groups, self._entry, self._plan = groups, entry, pack(Plan(*7 * [0]))
-        self._constants = tables, matrices, packed, lane, self._plan
+
+    def __setstate__(self, state: dict[str, Any]) -> None:
+        self.__dict__.update(state)
+        self._name_fields()  # the arrays of a copy are parts of its own constants
 
     @cached_property
     def _advance(self):
