@@ -9,12 +9,14 @@ import subprocess
 import sys
 from typing import Annotated, NamedTuple
 
+import numba
 import numpy as np
 import pytest
 
 import timo_sim
 from timo_sim.compiled import machine, store
 from timo_sim.compiled.constants import pack, pack_lanes
+from timo_sim.compiled.emit import emit
 from timo_sim.compiled.entry import entry_point
 from timo_sim.compiled.functions import (
     Array, as_vectors, Constants, floor, inner, local, magnitude, where)
@@ -212,6 +214,17 @@ def test_a_step_allocates_nothing(formulation, dry, tmp_path):
         code, machine.symbols_of(constants), machine.target_machine('host'), 'step'))
     undefined = subprocess.run(['nm', '-u', path], check=True, capture_output=True, text=True)
     assert {*undefined.stdout.split()} <= {'U', 'memcpy', 'memmove', 'memset'}
+
+
+def test_the_caller_may_compile_the_same_functions_with_numba_in_between():
+    def entry():
+        @entry_point(one=int, other=int)
+        def least(one, other):
+            return min(one, other)
+        return least
+    emit(entry(), ())
+    assert numba.njit(lambda one, other: min(one, other))(2, 1) == 1
+    emit(entry(), ())
 
 
 RUN = """

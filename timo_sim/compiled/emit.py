@@ -458,8 +458,11 @@ class _Typing(typing.Context):
             found = super().resolve_function_type(func, args, kws)
             if found is None:
                 return None
-            self._found[key] = found
-        return self._found[key]
+            self._found[key] = found, func.get_impl_key(found)
+        found, implementation = self._found[key]
+        # Types of functions are those of all targets: numba may have compiled it for another one.
+        func._impl_keys[found.args] = implementation
+        return found
 
 
 class _Target(registry.CPUTarget):
