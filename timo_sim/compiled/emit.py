@@ -461,7 +461,8 @@ class _Typing(typing.Context):
             self._found[key] = found, func.get_impl_key(found)
         found, implementation = self._found[key]
         # Types of functions are those of all targets: numba may have compiled it for another one.
-        func._impl_keys[found.args] = implementation
+        shared: Any = func
+        shared._impl_keys[found.args] = implementation
         return found
 
 
