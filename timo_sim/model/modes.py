@@ -119,8 +119,10 @@ class UniformModes(Modes):
             end_effector_inertia=manipulator.end_effector_inertia))
         self._compute_fields, self._known = fields.of(self._arm), {}
         self.omega, self._shape = np.empty(count), np.empty((count, 4))
-        if lowest_modes(self._arm, self.omega, self._shape, count) < count:
-            raise ValueError('two modes of the arm are not separate')
+        found = lowest_modes(self._arm, self.omega, self._shape, count)
+        if found < count:
+            raise ValueError(f'mode {found + 1} of the arm is not found above the one before: its '
+                             'numbers are too large or too small together')
         fine = Quadrature(manipulator.arm.breaks, 4 * count + 40)
         mass, inertia = manipulator.inertia(fine)
         deflection, rotation, _, _ = self._fields(fine.points)
