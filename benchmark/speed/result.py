@@ -59,6 +59,23 @@ def simulated(modes, step=0.02):
            f'{1e3 * alone:.2g} ms without its error: {whole / alone:.1f} times as long with it')
 
 
+def estimated():
+    """Simulate scenes whose errors cost more than usual to measure, with and without."""
+    warnings.simplefilter('ignore', timo_sim.ModelWarning)
+    for what, source, values in (
+            ('dry friction', 'paper', {'motor.coulomb_friction': 0.5}),
+            ('a table that bends inside of steps', 'paper', {
+                'load.torque.table.time': [0.0, 0.9996, 10.0],
+                'load.torque.table.value': [0.0, 2.0, 0.0]}),
+            ('a warning', 'paper', {'initial.shaft_velocity': 20.0}),
+            ('a load that is picked up', 'pick_and_place', {})):
+        scene = timo_sim.load_scene(source, values)
+        whole = least(lambda: timo_sim.simulate(scene, DURATION), count=3)
+        alone = least(lambda: timo_sim.simulate(scene, DURATION, estimate=False), count=3)
+        yield (f'`simulate` of a scene that has run, {what}', whole,
+               f'{1e3 * alone:.2g} ms without its error: {whole / alone:.0f} times as long')
+
+
 def varied():
     """Change a scene that has run: its tip mass, or its loads, and simulate it again."""
     scene, random = timo_sim.load_scene(PAPER, settings()), np.random.default_rng(1)
@@ -137,7 +154,8 @@ def first(quick):
 
 def rows(quick):
     """Return rows (line, processor time, remark)."""
-    parts = (loading(), simulated(3), simulated(5), simulated(5, 0.005), varied(), from_the_file(),
-             propagators(3), propagators(5), saving(quick), fitted(quick), first(quick))
+    parts = (loading(), simulated(3), simulated(5), simulated(5, 0.005), estimated(), varied(),
+             from_the_file(), propagators(3), propagators(5), saving(quick), fitted(quick),
+             first(quick))
     return [(line, f'{span:.2g} s' if span >= 0.1 else f'{1e3 * span:.2g} ms', remark)
             for part in parts for line, span, remark in part]

@@ -332,6 +332,7 @@ def _set_shape(arm, omega, shape):
 
 
 _HIGHEST = 1e100  # frequency whose square does not overflow [rad/s]
+_SEPARATE = 1e-12  # relative distance of two modes whose shapes are told apart: 5000 last places
 
 
 @entry_point(arm=Constants(), omega=Array((None,)), shape=Array((None, 4)), count=int)
@@ -358,7 +359,7 @@ def lowest_modes(arm, omega, shape, count):
             else:
                 low = middle
         omega[n] = high
-        if n and not high > omega[n - 1] * (1.0 + 1e-12):
+        if n and not high > omega[n - 1] * (1.0 + _SEPARATE):
             return n
         _set_shape(arm, high, shape[n])
     return count
