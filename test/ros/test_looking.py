@@ -80,7 +80,12 @@ class Terminal:
             **{'stdin': self.slave, 'stdout': self.slave, 'stderr': self.slave, **streams})
 
     def press(self, key):
-        """Press a key; a terminal whose program does not read yet loses keys when it is full."""
+        """
+        Press a key, and read what is shown: a program whose terminal is full waits for ever.
+
+        A terminal whose program does not read yet loses keys when it is full.
+        """
+        self.shown()
         with contextlib.suppress(BlockingIOError):
             os.write(self.master, key)
 
@@ -135,7 +140,7 @@ def test_held_keys_push_until_they_are_released_or_the_program_ends(start, clien
 
     for key, joint, effort in ((b'a', 2, 3.0), (b'd', 2, -3.0), (LEFT, 0, -7.0), (UP, 1, 7.0)):
         hold(key, joint, effort)
-        client.wait(lambda: states[-1].effort[joint] == 0.0, f'the end of {key}')
+        client.wait(lambda: keys.shown() and states[-1].effort[joint] == 0.0, f'the end of {key}')
         assert states[-1].position[joint] != states[0].position[joint]
     hold(b'a', 2, 3.0)
     assert keys.end(lambda keys: keys.press(b'q')) == (0, True)
