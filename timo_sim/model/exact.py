@@ -75,12 +75,8 @@ class Exact(Formulation):
         at_points = np.concatenate([one, self.points.rotation.T], axis=1)
         rotary = at_points.T @ (self.point_inertia[:, np.newaxis] * at_points)
         rotary[0, 0] += self.manipulator.shaft_inertia
-        gear = np.empty((0, 3))
         if self.gear:  # (T60)
-            rotary += self.gear.inertia * np.outer(self.rotor[2:], self.rotor[2:])
-            per_coordinate = self.rotor[self.gear_place]
-            gear = np.array([[per_coordinate, self.gear.friction,
-                              0.5 * self.gear.backlash / per_coordinate]])
+            rotary += self.rotor_matrix[2:, 2:]
         damping = np.append(self.manipulator.shaft_friction, self.modal_damping)
         rotary[1:, 1:] += np.diag(self.slower**2 - 1.0)  # (T67)
 
@@ -101,7 +97,7 @@ class Exact(Formulation):
             tip_rotation=at_points[-1], weight=self.mass * self.gravity, push=push,
             stretch=self._stretch[len(self._stretch) - self.axial:],
             stiffness=np.append(0.0, modes.omega**2), linear_rate=np.empty((0, 2, 0)), sector=-1,
-            bands_per_speed=0.0, of_band=np.empty((0, 0)), gear=gear)
+            bands_per_speed=0.0, of_band=np.empty((0, 0)), gear=self.gear_row)
         tables, linear = self._with_linear_part(tables, locked if one_axis else None)
         if self.sectors and self.axial:
             self._band = BAND * modes.omega[0]

@@ -22,7 +22,7 @@ from timo_sim.compiled.functions import (
     as_vectors, chain, declare, floor, inner, local, some, sum_of, value_of, where,
     with_derivatives, without_derivatives)
 from timo_sim.model import functions
-from timo_sim.model.functions import sincos
+from timo_sim.model.functions import DRAG, PER_COORDINATE, sincos
 from timo_sim.model.layout import (
     ACCELERATION, ANGLE, FORCE_I, FORCE_II, FORCE_X, FORCE_Y, PUSH_X, PUSH_Y, SHAFT_FRICTION,
     SPEED, TIP_I, TIP_II, TIP_TORQUE, TIP_X, TIP_Y)
@@ -422,7 +422,8 @@ def _rate(tables, state, load, out):
 
     # p' (T28): the stiffness is in the linear part, and damping of the straight arm's speeds.
     forces = _translate(tables, state, load, work, out)
-    on_rotor, place = _rotor_torque(tables, load, work.speed), _gear_place(tables)
+    place = _gear_place(tables)
+    on_rotor = functions.rotor_torque(tables, load, work.speed[0], work.speed, place)
     torque = on_rotor - functions.coulomb(tables, 1, work.speed[0])
     for _ in range(len(tables.gear)):  # 0 or 1 gears: an `if` that LLVM decides, see `compiled`
         torque += load[SHAFT_FRICTION]
@@ -445,30 +446,17 @@ def _rate(tables, state, load, out):
     for n in range(len(tables.gear)):
         if place < count - len(tables.linear_rate):
             out[momenta + place] += (tables.gear[n, PER_COORDINATE] * (on_rotor + drag)
-                                     + _missing_contact(tables, n, work))
+                                     + _missing_contact(tables, n, work, place))
     _add_rates_of_rates(tables, load, torque, on_rotor, forces, work, out)
     _subtract_part_of_band(tables, state, out)
 
 
-# An elastic gear (T60) to (T62); without one the torque on the rotor is that on the shaft.
-
-PER_COORDINATE, DRAG, PLAY = range(3)  # columns of `Tables.gear`
-
+# An elastic gear (T60) to (T62).
 
 @inner
 def _gear_place(tables):
     """Return the number of the gear's coordinate."""
     return len(tables.rotation) - len(tables.stretch) - 1
-
-
-@inner
-def _rotor_torque(tables, load, speed):
-    """Return the torque on the rotor less its friction."""
-    rotor, friction = speed[0], -0.0
-    for n in range(len(tables.gear)):
-        rotor += tables.gear[n, PER_COORDINATE] * speed[_gear_place(tables)]
-        friction = tables.gear[n, DRAG] * rotor + functions.coulomb(tables, 2, rotor)
-    return functions.motor_torque(tables, load, rotor) - friction
 
 
 @inner
@@ -488,15 +476,9 @@ def _linear_drag(tables, speed, nonlinear_rate, coordinates):
 
 
 @inner
-def _missing_contact(tables, n, work):
-    """Return the force of spring and damper of the n-th gear that backlash takes away (T62)."""
-    place, play, missing = _gear_place(tables), tables.gear[n, PLAY], 0.0
-    if some(play != 0.0):
-        stiffness, damping = tables.stiffness[place], tables.damping[place]
-        twist, rate = work.coordinate[place], work.speed[place]
-        missing = stiffness * twist + damping * rate - functions.gear_torque(
-            stiffness, damping, play, twist, rate)
-    return missing
+def _missing_contact(tables, n, work, place):
+    return functions.missing_contact(tables, n, tables.stiffness[place], tables.damping[place],
+                                     work.coordinate[place], work.speed[place])
 
 
 @functions.observe.of(Tables)
@@ -712,10 +694,8 @@ def _energy(tables, motion, gravity):
             twice += (motion[rates + 2 + i] * tables.rotary[i, j] * motion[rates + 2 + j])
         twice += tables.stiffness[i] * motion[2 + i] * motion[2 + i]
     for n in range(len(tables.gear)):  # the spring of a gear is relaxed within its play
-        place, play = _gear_place(tables), tables.gear[n, PLAY]
-        twist = motion[2 + place]
-        loose = functions.within(play, twist)
-        twice -= tables.stiffness[place] * loose * (2.0 * twist - loose)
+        place = _gear_place(tables)
+        twice -= functions.loose_energy(tables, n, tables.stiffness[place], motion[2 + place])
     return 0.5 * twice - mass * (gravity[0] * (motion[0] + _dot(to_centre, a))
                                  + gravity[1] * (motion[1] + _dot(to_centre, b)))
 
@@ -824,8 +804,9 @@ def _add_rates_of_rates(tables, load, torque, on_rotor, forces, work, out):
             total -= factors[i, j] * load[ACCELERATION]
         force[i] = total
     for n in range(len(tables.gear)):
-        force[_gear_place(tables)] += (tables.gear[n, PER_COORDINATE] * on_rotor
-                                       + _missing_contact(tables, n, work))
+        place = _gear_place(tables)
+        force[place] += (tables.gear[n, PER_COORDINATE] * on_rotor
+                         + _missing_contact(tables, n, work, place))
     _solve_for_last(tables, factors, force)
     for i in range(rates_from, count):
         total = force[i]

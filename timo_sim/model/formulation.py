@@ -171,6 +171,20 @@ class Formulation(ABC):
         """Place of the gear's coordinate, its twist times `sqrt(J_r)`, in a motion (T60)."""
         return self.size // 2 - self.axial - 1
 
+    @property
+    def gear_row(self) -> np.ndarray:
+        """What compiled functions need of an elastic gear (T60), shape (1, 3), else (0, 3)."""
+        if not self.gear:
+            return np.empty((0, 3))
+        per_coordinate = self.rotor[self.gear_place]
+        return np.array([[per_coordinate, self.gear.friction,
+                          0.5 * self.gear.backlash / per_coordinate]])
+
+    @property
+    def rotor_matrix(self) -> np.ndarray:
+        """Part of the mass matrix by the rotor of an elastic gear, (3 + N, 3 + N) [kg m2]."""
+        return self.gear.inertia * np.outer(self.rotor, self.rotor)
+
     @cached_property
     def free_places(self) -> np.ndarray:
         """Places of the free coordinates and their rates in a motion, shape (m,)."""
@@ -488,7 +502,7 @@ class Formulation(ABC):
         matrix[range(3), range(3)] += [body.base_mass, body.base_mass, body.shaft_inertia]
         matrix[range(3, half), range(3, half)] += self.slower**2 - 1.0
         if self.gear:
-            matrix += self.gear.inertia * np.outer(self.rotor, self.rotor)
+            matrix += self.rotor_matrix
         return matrix, np.vstack([velocity[:, -1].T, turning[:, -1]])
 
     def momentum(self, motions: np.ndarray) -> np.ndarray:

@@ -76,6 +76,40 @@ def gear_torque(stiffness, damping, play, twist, rate):
     return torque
 
 
+PER_COORDINATE, DRAG, PLAY = range(3)  # columns of `Tables.gear`, of an elastic gear (T60)
+
+
+@inner
+def missing_contact(tables, n, stiffness, damping, twist, rate):
+    """Return the force of spring and damper of the n-th gear that backlash takes away (T62)."""
+    play, missing = tables.gear[n, PLAY], 0.0
+    if some(play != 0.0):
+        missing = stiffness * twist + damping * rate - gear_torque(
+            stiffness, damping, play, twist, rate)
+    return missing
+
+
+@inner
+def loose_energy(tables, n, stiffness, twist):
+    """Return twice the energy that the spring of the n-th gear has less within its play [J]."""
+    loose = within(tables.gear[n, PLAY], twist)
+    return stiffness * loose * (2.0 * twist - loose)
+
+
+@inner
+def rotor_torque(tables, load, shaft_speed, rates, place):
+    """
+    Return the torque on the rotor less its friction; without a gear it is that on the shaft.
+
+    `rates[place]` is the rate of the coordinate of an elastic gear (T61).
+    """
+    rotor, friction = shaft_speed, -0.0
+    for n in range(len(tables.gear)):  # 0 or 1: an `if` that LLVM decides, see `compiled`
+        rotor += tables.gear[n, PER_COORDINATE] * rates[place]
+        friction = tables.gear[n, DRAG] * rotor + coulomb(tables, 2, rotor)
+    return motor_torque(tables, load, rotor) - friction
+
+
 @inner
 def motor_torque(tables, load, speed):
     """Return the torque of loads where the motor acts, at its speed, and dry friction (T66)."""

@@ -46,10 +46,10 @@ import numpy as np
 from timo_sim.compiled.functions import inner, local, some
 from timo_sim.model import functions
 from timo_sim.model.formulation import Formulation, Points
-from timo_sim.model.functions import sincos
+from timo_sim.model.functions import DRAG, PER_COORDINATE, sincos
 from timo_sim.model.layout import (
-    ACCELERATION, ANGLE, FORCE_I, FORCE_II, FORCE_X, FORCE_Y, PUSH_X, PUSH_Y, rotate, SPEED,
-    TIP_I, TIP_II, TIP_TORQUE, TIP_X, TIP_Y)
+    ACCELERATION, ANGLE, FORCE_I, FORCE_II, FORCE_X, FORCE_Y, PUSH_X, PUSH_Y, rotate,
+    SHAFT_FRICTION, SPEED, TIP_I, TIP_II, TIP_TORQUE, TIP_X, TIP_Y)
 
 
 class Laws(NamedTuple):
@@ -100,17 +100,23 @@ class Newton(Formulation):
         """Mass matrix of the deflection alone, G_nl, shape (N, N)."""
         return (self.points.deflection * self.point_mass) @ self.points.deflection.T
 
+    @property
+    def turning_mass(self) -> np.ndarray:
+        """Mass matrix of shaft and modes at a straight arm, shape (1 + N, 1 + N)."""
+        lever, mass, inertia = self.points.lever, self.point_mass, self.point_inertia
+        deflection, rotation = self.points.deflection, self.points.rotation
+        matrix = np.empty((1 + len(self.modes), 1 + len(self.modes)))
+        matrix[1:, 1:] = self.deflection_mass + (rotation * inertia) @ rotation.T
+        matrix[0, 0] = self.manipulator.shaft_inertia + mass @ lever**2 + inertia.sum()
+        matrix[0, 1:] = matrix[1:, 0] = deflection @ (mass * lever) + rotation @ inertia
+        return matrix + self.rotor_matrix[2:, 2:] if self.gear else matrix  # (T60)
+
     def laws(self) -> Laws:
         """Return the coefficients of the equations of motion."""
-        lever, mass, count = self.points.lever, self.point_mass, len(self.modes)
-        about_shaft = self.points.deflection @ (mass * lever)
-        matrix = np.eye(1 + count)
-        if not self.own_modes:
-            matrix[1:, 1:] = self.deflection_mass + (
-                self.points.rotation * self.point_inertia) @ self.points.rotation.T
-        matrix[0, 0] = (
-            self.manipulator.shaft_inertia + mass @ lever**2 + self.point_inertia.sum())
-        matrix[0, 1:] = matrix[1:, 0] = about_shaft + self.points.rotation @ self.point_inertia
+        count, matrix = len(self.modes), self.turning_mass
+        about_shaft = self.points.deflection @ (self.point_mass * self.points.lever)
+        if self.own_modes:
+            matrix[1:, 1:] = np.eye(count)
         column = np.append(self.first_moment, self.modal_moments)
         return Laws(matrix=matrix, column=column,
                     softening=np.vstack([about_shaft, self.deflection_mass]),
@@ -120,14 +126,14 @@ class Newton(Formulation):
 
     def build(self) -> tuple[Any, np.ndarray]:
         """Return the tables and the linear part; set the speed limit."""
-        if len(self.modes):
+        if len(self.modes) > bool(self.gear):
             # (T19): theta'^2 w acts as a negative stiffness, and the tension that would counter
             # it is not in the equations.
             weak = self.deflection_mass / np.outer(self.modes.omega, self.modes.omega)
             self.speed_limit = 1.0 / np.sqrt(np.linalg.eigvalsh(weak)[-1])
         laws, base_mass = self.laws(), self.manipulator.base_mass
         deflection, rotation = self.points.deflection, self.points.rotation
-        mass, inertia, lever = self.point_mass, self.point_inertia, self.points.lever
+        turning_mass = self.turning_mass
         stiffness, damping = self.modes.omega**2, 2.0 * self.damping * self.modes.omega
         free, axes = slice(self.driven, None), len(self.axes)
         inverse = np.linalg.inv(laws.matrix[free, free])
@@ -146,6 +152,14 @@ class Newton(Formulation):
         linear[:half, half:] = np.eye(half)
         linear[half + axes:, modal:half] = rate * stiffness
         linear[half + axes:, half + modal:] = rate * damping
+        gear, drag = self.gear_row, np.empty((0, 2))
+        if self.gear:  # the viscous friction of the rotor
+            turns = self.rotor[2:]
+            slowing = -self.gear.friction * inverse @ turns
+            shear = -laws.shear_row @ slowing
+            linear[half + axes:, half + axes:] += np.outer(
+                slowing - linear_beta * response * shear, turns)
+            drag = np.array([[slowing[0], shear]])
         tables = Tables(
             base_mass=base_mass, arm_mass=self.arm_mass, first_moment=self.first_moment,
             inverse=inverse, coupling=laws.matrix[:, 0], response=response,
@@ -157,18 +171,18 @@ class Newton(Formulation):
                 [self.manipulator.carrier_friction, self.manipulator.shaft_friction]),
             coulomb=np.array(self.manipulator.coulomb),
             motor_limit=np.reshape(self.manipulator.motor_limit, (-1, 2)), axes=self.axes,
-            held_position=self.held_position, length=lever[-1], tip_deflection=deflection[:, -1],
+            held_position=self.held_position, length=self.points.lever[-1],
+            tip_deflection=deflection[:, -1],
             tip_rotation=rotation[:, -1], gravity=self.gravity,
             push_place=self.push_point.lever[0] if self.push_point else 0.0,
             push_deflection=self.push_point.deflection.T if self.push_point else (
                 np.empty((0, len(stiffness)))),
-            inertia=self.manipulator.shaft_inertia + mass @ lever**2 + inertia.sum(),
+            gear=gear, rotor_drag=drag, inertia=turning_mass[0, 0],
             shear_mass=laws.shear_mass, shaft_row=laws.matrix[0], shaft_column=laws.column[0],
             shaft_stress=laws.stress[0], shear_stress=laws.shear_stress,
             moments=self.modal_moments,
-            about_root=deflection @ (mass * lever) + rotation @ inertia,
-            deflection_mass=self.deflection_mass,
-            modal_mass=self.deflection_mass + (rotation * inertia) @ rotation.T)
+            about_root=turning_mass[0, 1:], deflection_mass=self.deflection_mass,
+            modal_mass=turning_mass[1:, 1:])
         return tables, linear
 
     def state(self, motion: np.ndarray) -> np.ndarray:
@@ -225,8 +239,8 @@ class Tables(NamedTuple):
     Constants of the compiled functions, from `newton.Laws`.
 
     Sizes: N `modes`, 1 + N `coordinates`, of which n are `free`; `axes` along which the carrier is
-    free; `pushes` is 1 if a force may act on the arm, else 0, and `limits` if the motor's current
-    has a limit.
+    free; `pushes` is 1 if a force may act on the arm, else 0, `limits` if the motor's current has
+    a limit, and `gears` if the gear is elastic, whose coordinate is the last one.
     """
 
     base_mass: float     # m_c + m_m
@@ -256,8 +270,11 @@ class Tables(NamedTuple):
     gravity: Annotated[np.ndarray, 2]                      # g along world x and y
     push_place: float    # distance from the shaft's axis to where a force acts on the arm
     push_deflection: Annotated[np.ndarray, 'pushes', 'modes']  # W_n there
+    gear: Annotated[np.ndarray, 'gears', 3]                # `Formulation.gear_row`
+    # theta'' and V(0) per speed of the rotor, by its viscous friction
+    rotor_drag: Annotated[np.ndarray, 'gears', 2]
     # For forces of constraints and energy alone:
-    inertia: float       # about the shaft's axis, with the shaft's
+    inertia: float       # about the shaft's axis, with the shaft's and the rotor's
     shear_mass: float    # m_V
     shaft_row: Annotated[np.ndarray, 'coordinates']        # A_0j
     shaft_column: float  # c_0
@@ -313,23 +330,36 @@ def _resistance(tables, joint, speed):
 
 
 @inner
-def _set_z_0(tables, q, theta_rate, load, tip_2, push_2, moment, force, z):
-    """Set z_0: theta'' and q'' at beta = 0, without the modal stress (in the linear part)."""
+def _rotor_speed(tables, n, theta_rate, qdot):
+    return theta_rate + tables.gear[n, PER_COORDINATE] * qdot[len(qdot) - 1]
+
+
+@inner
+def _set_z_0(tables, q, qdot, theta_rate, load, tip_2, push_2, moment, force, z):
+    """Set z_0: theta'' and q'' at beta = 0, less what is in the linear part by itself."""
     inverse, softening = tables.inverse, tables.softening
     rows, count = softening.shape
     driven = rows - len(inverse)
+    on_rotor = functions.rotor_torque(tables, load, theta_rate, qdot, count - 1)
+    for n in range(len(tables.gear)):
+        on_rotor += tables.gear[n, DRAG] * _rotor_speed(tables, n, theta_rate, qdot)
     for i in range(driven, rows):
         if i:
             force[i] = (tables.tip_deflection[i - 1] * tip_2
                         + tables.tip_rotation[i - 1] * load[TIP_TORQUE]
                         + _push_on_mode(tables, i - 1, push_2))
         else:
-            force[i] = (functions.motor_torque(tables, load, theta_rate)
-                        - _resistance(tables, 1, theta_rate) + moment)
+            force[i] = on_rotor - _resistance(tables, 1, theta_rate) + moment
+            for _ in range(len(tables.gear)):
+                force[i] += load[SHAFT_FRICTION]
         for n in range(count):
             force[i] += theta_rate * theta_rate * softening[i, n] * q[n]
         if driven:
             force[i] -= tables.coupling[i] * load[ACCELERATION]
+    for n in range(len(tables.gear)):  # (T61), (T62)
+        force[count] += tables.gear[n, PER_COORDINATE] * on_rotor + functions.missing_contact(
+            tables, n, tables.stiffness[count - 1], tables.damping[count - 1], q[count - 1],
+            qdot[count - 1])
     z[0] = load[ACCELERATION]
     for i in range(driven, rows):
         total = 0.0
@@ -420,7 +450,7 @@ def _rate(tables, state, load, out):
     tip_moment = load[TIP_TORQUE] + tables.length * tip_2 - _dot(tables.tip_deflection, q) * tip_1
     push_1, push_2, push_moment = _push(tables, q, load, cosine, sine)
     force, z = local((tables.softening,)), local((tables.softening,))
-    _set_z_0(tables, q, omega, load, tip_2, push_2, tip_moment + push_moment, force, z)
+    _set_z_0(tables, q, qdot, omega, load, tip_2, push_2, tip_moment + push_moment, force, z)
 
     # P(0) (T12) and V(0) (T13) at alpha = beta = 0; theta'' with the modal stress.
     theta_acceleration = z[0]
@@ -429,6 +459,10 @@ def _rate(tables, state, load, out):
         stress = tables.stiffness[n] * q[n] + tables.damping[n] * qdot[n]
         theta_acceleration += tables.shaft_per_stress[n] * stress
         linear_shear += tables.shear_per_stress[n] * stress
+    for n in range(len(tables.gear)):
+        rotor = _rotor_speed(tables, n, omega, qdot)
+        theta_acceleration += tables.rotor_drag[n, 0] * rotor
+        linear_shear += tables.rotor_drag[n, 1] * rotor
     bent = _dot(tables.axial, q)
     axial = (bent * theta_acceleration + 2.0 * omega * _dot(tables.axial, qdot)
              + omega * omega * tables.first_moment + tip_1 + push_1)
@@ -474,6 +508,9 @@ def _joint_place(tables, state, load, joint):
     if joint >= 2:
         found = (load[ANGLE] if len(tables.softening) > len(tables.inverse)
                  else state[len(tables.axes)])
+        if joint == 2:
+            for n in range(len(tables.gear)):
+                found += tables.gear[n, PER_COORDINATE] * state[_half(tables) - 1]
     else:
         for k in range(len(tables.axes)):
             if tables.axes[k] == joint:
@@ -534,6 +571,9 @@ def _energy(tables, motion, gravity):
         for k in range(count):
             twice += (omega * omega * q * tables.deflection_mass[n, k] * motion[3 + k]
                       + qdot * tables.modal_mass[n, k] * motion[rates + 3 + k])
+    for n in range(len(tables.gear)):  # the spring of a gear is relaxed within its play
+        twice -= functions.loose_energy(tables, n, tables.stiffness[count - 1],
+                                        motion[2 + count])
     twice += 2.0 * (across * (moment_rate + omega * tables.first_moment) - along * omega * moment)
     return 0.5 * twice - (
         gravity[0] * (mass * motion[0] + cosine * tables.first_moment - sine * moment)

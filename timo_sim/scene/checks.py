@@ -37,7 +37,6 @@ def check_gear(values: Mapping[str, Any]) -> None:
     for name, good, rule in (
             ('motor.rotor.inertia', values['motor.rotor.inertia'] > 0.0, '> 0 kg m2'),
             ('motor.shaft', values['motor.shaft'] == 'free', 'free'),
-            ('model.formulation', values['model.formulation'] == 'exact', 'exact'),
             ('arm.damping_of', values['arm.damping_of'] == 'clamped', 'clamped')):
         if not good:
             raise ParameterError(f'{name} must be {rule} with motor.gear.stiffness = {elastic:g}, '
