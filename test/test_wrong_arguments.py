@@ -50,8 +50,7 @@ def calls(folder):
     yield timo_sim.project_on_modes, {
         'scene': scene, 'deflection': np.sin, 'rotation': np.cos}, {'scene': '{}'}
     yield timo_sim.choose_resolution, {
-        'scene': {**RIGID, 'model.accuracy': 1e-3}, 'duration': 0.001, 'fits': bool}, {
-            'duration': '0'}
+        'scene': {**RIGID, 'model.accuracy': 1e-3}, 'duration': 0.001}, {'duration': '0'}
     yield timo_sim.simulate, {
         'scene': scene, 'duration': 0.001, 'sample_every': 1, 'estimate': False}, {
             'scene': '{}', 'duration': '0'}

@@ -194,7 +194,7 @@ def test_a_dump_starts_an_equal_node(start, client, tmp_path):
         assert shown.pop('record_file') == str(log)
         dumped.append(repr(shown))
     assert dumped[0] == dumped[1]
-    assert (shown['model.accuracy'], shown['integrator.step']) == (0.0, 0.01)
+    assert shown['model.accuracy'] == 0.0
     assert len(states[0].step) > 50 and np.array_equal(states[0].step, states[1].step)
     assert states[0].values.tobytes() == states[1].values.tobytes()
 

@@ -64,8 +64,7 @@ class SimNode(ParameterNode):
         tell = self.get_logger().info
         if values['model.accuracy']:
             tell('choosing modes and step for model.accuracy')
-        scene, steps = resolve(scene_from(values), values['duration'], tell,
-                               partial(steps_between_messages, values))
+        scene, steps = resolve(scene_from(values), values['duration'], tell)
         values.update(scene.values)
         steps_each = steps_between_messages(values, scene.step)
         sync_steps(values, scene.step)

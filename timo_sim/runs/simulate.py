@@ -8,25 +8,24 @@ from __future__ import annotations
 from collections.abc import Callable
 from contextlib import contextmanager
 from dataclasses import replace
+import math
 import sys
-from typing import NamedTuple
 
 import numpy as np
 
 from timo_sim.runs.run import Run, run_scene
 from timo_sim.scene.parameters import (
-    checked, FLAG, FUNCTION, Parameter, ParameterError, PARAMETERS, steps_in, warn)
-from timo_sim.scene.scene import load_scene, Scene, scene_from, SceneLike
-from timo_sim.simulation.finer import measure, Motions, refine
-from timo_sim.simulation.simulator import Simulator
-from timo_sim.simulation.warnings import DivergenceError, unseen_load
+    checked, FLAG, Parameter, ParameterError, PARAMETERS, steps_in, warn)
+from timo_sim.scene.scene import load_scene, Scene, SceneLike
+from timo_sim.scene.static_shapes import MORE_MODES
+from timo_sim.simulation.finer import (
+    find_remedy, measure, MORE_OF_MODES, Motions, SHORTER_STEPS)
+from timo_sim.simulation.warnings import DivergenceError, more_axial
 
-SIZES = (3, 5, 8, 12)  # numbers of modes to choose from
-STEPS = (0.02, 0.01, 0.005, 0.002, 0.001, 0.0005, 0.0002, 0.0001)  # to choose from [s]
-GRID = 0.02            # multiple of all steps, time between positions that are compared [s]
-HORIZON = 10.0         # sim time that is compared by default [s]
-MAX_STEPS = 200_000   # most steps of a run that is compared
-MARGIN = 2.0           # least ratio of the stated error to the estimate of the choice
+_MOST_RUNS = 5         # whose errors are measured for a choice of modes and step
+_HORIZON = 10.0        # their sim time by default [s]
+_MAX_STEPS = 200_000   # most steps of one
+_MARGIN = 2.0          # least ratio of the stated error to that of the choice
 _ENOUGH_COMPARED = 500  # samples at which the tips of two runs are compared, if there are more
 _LONGEST = 0.01         # time between samples of `thin` at most [s]
 _MOST_SAMPLES = 1_000_000  # of a run to be thinned, if more are not needed for 100 Hz
@@ -35,12 +34,12 @@ _SEEN = 1e-6            # least travel that lines between samples show [arm leng
 _STILL = 1e-13         # travel of a tip that only round-off moves [arm lengths]
 
 
-def measure_error(run: Run, find_remedy: bool = True) -> Run:
+def measure_error(run: Run, with_remedy: bool = True) -> Run:
     """
     Return a run of `run_scene` with its measured error, and the warning that this calls for.
 
     `estimated_tip_error_m` and `estimated_deflection_error_m` are in its `stats`, see
-    `simulation.finer.measure`, which has `find_remedy`, too.
+    `simulation.finer.measure`, which has `with_remedy`, too.
     """
     if len(run.t) < 2:
         return run
@@ -49,55 +48,27 @@ def measure_error(run: Run, find_remedy: bool = True) -> Run:
     seen = _thin(run, max(k for k in range(1, 1 + max(1, samples // _ENOUGH_COMPARED))
                           if samples % k == 0))
     errors, warning = measure(Motions(run.scene, seen.values, run.stats['steps']), run.warning,
-                              find_remedy)
+                              with_remedy)
     return replace(run, stats={**run.stats, 'estimated_tip_error_m': errors[0],
                                'estimated_deflection_error_m': errors[1]}, warning=warning)
 
 
-class Resolution(NamedTuple):
+@checked()
+def choose_resolution(scene: SceneLike, duration: float = 0.0) -> Run:
     """
-    A scene with its modes and step chosen.
+    Return a run with modes and step for the tip error that a scene states in `model.accuracy`.
 
-    `estimate` is the tip error [m] until the sim time `looked_at` [s]; it reaches the stated one
-    at `until` [s], if it grows linearly. `warning` is that of an error that modes and steps do not
-    reduce, or None.
-    """
-
-    scene: Scene
-    estimate: float
-    looked_at: float
-    until: float
-    warning: str | None
-
-    def __str__(self) -> str:
-        values, model = self.scene.values, self.scene.build()
-        return (f'N = {values["model.modes"]} modes, n_g = {len(model.quadrature.nodes)} '
-                f'nodes, h = {1e3 * self.scene.step:g} ms: estimated tip error '
-                f'{self.estimate:.1e} m, from a run of {self.looked_at:g} s; below the stated one '
-                f'until about {self.until:.2g} s' + (f'; {self.warning}' if self.warning else ''))
-
-
-@checked(fits=FUNCTION)
-def choose_resolution(scene: SceneLike, duration: float = 0.0,
-                      fits: Callable[[float], bool] = lambda step: True) -> Resolution:
-    """
-    Choose modes and step of a scene for the tip error that it states in `model.accuracy`.
-
-    The scene is run with three modes and the longest step, and compared with a run that has three
-    more modes and half the step. As long as the tip's positions, in the world and in the arm
-    frame, differ by more than half the stated error, the step is halved or modes are added,
-    whichever moves the tip more. The choice holds for the scene's own motion: if commands will
-    act, its loads should be as rough as the commands. Errors of the formulation are not part of
-    it. An arm that does not stretch is also compared with one that does; if they differ by more
-    than the stated error, the choice has a warning.
+    The scene is run with its own modes and step, and the errors of its tip are measured, see
+    `Run.stats`. As long as one is more than half the stated error, the step is made shorter or
+    modes, bending or axial ones, are added, whatever moves the tip most, in five runs at most. The
+    choice, the `scene` of the run, holds for the scene's own motion: if commands will act, its
+    loads should be as rough as the commands.
 
     Parameters
     ----------
     scene : Scene, or what `load_scene` takes
     duration : float
-        Sim time of the run, of which 200 000 steps at most are compared; 0: 10 s [s].
-    fits : function(float) -> bool
-        Returns whether a step [s] suits the caller.
+        Sim time of the run, which has 200 000 steps at most; 0: 10 s [s].
 
     Raises
     ------
@@ -112,99 +83,63 @@ def choose_resolution(scene: SceneLike, duration: float = 0.0,
     3
 
     """
-    scene = load_scene(scene)
-    goal, duration = scene.values['model.accuracy'], PARAMETERS['duration'].check(duration)
+    scene, duration = load_scene(scene), PARAMETERS['duration'].check(duration)
+    goal = scene.values['model.accuracy']
     if not goal:
         raise ParameterError('model.accuracy must be > 0 m for a choice of modes and step, got 0')
-    stated = f'model.accuracy = {goal:g} m'
-    steps, best = list(filter(fits, STEPS)), (np.inf, '')
-    for modes in SIZES:
-        while steps:
-            run = _run_trial(scene, modes, steps[0], duration or HORIZON)
-            fine = run and run.alike(refine(run.scene, 2, axial=0, same_equations=True))
-            if fine is None:
-                steps.pop(0)
-                continue
-            moved = fine.distances(fine._replace(values=fine.values[:1]))
-            if max(moved) < _STILL * scene.manipulator.arm.length:
-                raise ParameterError(f'{stated} needs a scene that moves by its own loads or '
-                                     'initial motion')
-            difference = max(run.distances(fine))
-            # Modes may converge as slowly as 1/N^2; the finer run has a part of the error.
-            estimate = difference / (1.0 - (modes / fine.scene.values['model.modes'])**2)
-            if MARGIN * estimate <= goal:
-                looked_at = run.steps * run.scene.step
-                return Resolution(run.scene, estimate, looked_at,
-                                  looked_at * goal / estimate if estimate else np.inf,
-                                  _stretch_warning(fine, goal))
-            halves = run.alike(refine(run.scene, 2, 0, 0, same_equations=True))
-            by_steps = halves is None or 2.0 * max(run.distances(halves)) > difference
-            best = min(best, (estimate, f'N = {modes} and h = {1e3 * steps[0]:g} ms: the '
-                                        f'{"steps" if by_steps else "modes"} limit it'))
-            if not by_steps:
-                break
-            steps.pop(0)
-    error, size = best
-    if np.isinf(error):
-        raise ParameterError(
-            f'{stated} needs a step from {STEPS[-1]:g} to {STEPS[0]:g} s of which times of jumps '
-            'and the duration are multiples, and with which no run diverges')
-    raise ParameterError(f'{stated} is not reached, but {MARGIN * error:.1e} m is, with {size}')
+    stated, best = f'model.accuracy = {goal:g} m', 'every run diverges'
+    least, change = math.inf, {'model.accuracy': 0.0}
+    for _ in range(_MOST_RUNS):
+        scene = scene.vary(change)
+        modes, step = scene.values['model.modes'], scene.step
+        steps = min(max(1, round((duration or _HORIZON) / step)), _MAX_STEPS)
+        change = {'integrator.step': 0.5 * step}
+        try:
+            run = run_scene(scene, steps, closest_samples(steps, step))
+        except DivergenceError:
+            continue
+        motions = Motions(scene, run.values, steps)
+        errors = motions.distances(motions._replace(values=run.values[:1]))
+        if max(errors) < _STILL * scene.manipulator.arm.length:
+            raise ParameterError(
+                f'{stated} needs a scene that moves by its own loads or initial motion')
+        run = measure_error(run, with_remedy=False)
+        errors = run.stats['estimated_tip_error_m'], run.stats['estimated_deflection_error_m']
+        ratio = _MARGIN * max(errors) / goal
+        if ratio <= 1.0:
+            return run
+        if math.isnan(ratio):
+            continue
+        remedy = find_remedy(motions, 2, errors, goal / _MARGIN)
+        if max(errors) < least:
+            least = max(errors)
+            best = (f'{_MARGIN * least:.1e} m is, with N = {modes} and h = {1e3 * step:g} ms' + (
+                f': take {remedy}' if remedy else ''))
+        if remedy == MORE_OF_MODES:
+            change = {'model.modes': max(modes + MORE_MODES, 5 * modes // 3)}
+        elif remedy in (SHORTER_STEPS, ''):  # whose errors are of fourth order
+            change['integrator.step'] = step / 2**min(3, math.ceil(math.log2(ratio) / 4.0))
+        elif remedy == more_axial(scene):
+            change = {'model.axial_modes': scene.values['model.axial_modes'] + 1}
+        else:  # equations or shapes, which the scene states
+            break
+    raise ParameterError(f'{stated} is not reached: {best}')
 
 
-def _run_trial(scene, modes, step, duration):
-    """Return Motions that are GRID apart; None if the step does not suit the loads."""
-    samples = min(max(1, round(duration / GRID)), int(MAX_STEPS * step / GRID))
-    every = round(GRID / step)
-    try:
-        scene = scene_from({**scene.values, 'model.accuracy': 0.0, 'model.modes': modes,
-                            'integrator.step': step})
-        if unseen_load(scene):
-            return None
-        motions = Simulator(scene).advance(samples * every, sample_every=every)[0]
-        return Motions(scene, motions, samples * every)
-    except (ParameterError, DivergenceError):  # such as a load that jumps inside of a step
-        return None
-
-
-def _stretch_warning(run, goal):
-    if (run.scene.values['model.formulation'] != 'exact' or run.scene.values['model.axial_modes']
-            or not run.scene.manipulator.arm.stretches):
-        return None
-    # An arm that stretches may need shorter steps than one that does not.
-    stretched = (run.alike(refine(run.scene, parts, 0, 1, True)) for parts in (1, 4))
-    off = next((max(run.distances(each)) for each in stretched if each is not None), 0.0)
-    if off <= goal:
-        return None
-    end = run.steps * run.scene.step
-    return (f'the tip is {off:.1e} m from that of an arm that stretches by t = {end:g} s, more '
-            'than the stated model.accuracy: take model.axial_modes 1')
-
-
-def resolve(scene: Scene, duration: float, tell: Callable[[str], object] | None = None,
-            check_step: Callable[[float], object] = lambda step: None) -> tuple[Scene, int]:
+def resolve(scene: Scene, duration: float,
+            tell: Callable[[str], object] = lambda text: None) -> tuple[Scene, int]:
     """
     Return the scene, with modes and step chosen if it states an error, and its number of steps.
 
-    `tell` is called with the choice; without it a ModelWarning is given if the choice has a
-    warning. `check_step` raises ParameterError for a step [s] that does not suit the caller.
-    Raises ParameterError if the duration does not fit the step, or no choice is accurate enough.
+    `tell` is called with the choice. Raises ParameterError if the duration does not fit the step,
+    or no choice is accurate enough.
     """
-    def fits(step):
-        try:
-            check_step(step)
-            return steps_in(duration, step) >= 0
-        except ParameterError:
-            return False
-
     goal = scene.values['model.accuracy']
     if goal:
-        choice = choose_resolution(scene, duration, fits)
-        if tell:
-            tell(f'model.accuracy = {goal:g} m: {choice}')
-        elif choice.warning:
-            warn(choice.warning)
-        scene = choice.scene
+        run = choose_resolution(scene, duration)
+        scene = run.scene
+        tell(f'model.accuracy = {goal:g} m: N = {scene.values["model.modes"]} modes and h = '
+             f'{1e3 * scene.step:g} ms: {run.message}')
     return scene, steps_in(duration, scene.step)
 
 
@@ -223,7 +158,7 @@ def simulate(scene: SceneLike, duration: float, sample_every: int = 1,
     Parameters
     ----------
     scene : Scene, or what `load_scene` takes
-        With `model.accuracy`, modes and step are chosen first, see `choose_resolution`.
+        With `model.accuracy`, modes and step are refined first, see `choose_resolution`.
     duration : float
         Sim time [s], a whole multiple of the time step.
     sample_every : int

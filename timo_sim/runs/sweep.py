@@ -217,7 +217,7 @@ def run_job(job: Job) -> dict[str, np.ndarray]:
             for row, scene in runs:
                 if (job.first + row) % _MEASURED_EVERY == 0 and not table['reason'][row]:
                     run = measure_error(run_scene(scene, steps_in(job.duration, scene.step)),
-                                        find_remedy=False)
+                                        with_remedy=False)
                     numbers[row, -1] = run.stats['estimated_tip_error_m']
                     table['warning'][row] = run.warning or ''
         failed = table['reason'] != ''

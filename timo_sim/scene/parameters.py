@@ -396,7 +396,7 @@ _ALL = [
               'follow the bending modes in all lists; 0: it does not stretch; > 0 only with '
               'formulation exact', low=0, high=3),
     _not_negative('model.accuracy', 0.0, 'm', 'tip error for which model.modes and '
-                  'integrator.step are chosen; 0: their given values are used'),
+                  'integrator.step are refined; 0: their given values are used'),
     Parameter('integrator.step', 0.001, 's', 'time step', low=1e-9, high=1000.0),
     *[parameter for each in INPUTS if each.prescribed
       for parameter in _load(each.name, each.unit, each.meaning)],

@@ -38,6 +38,7 @@ from timo_sim.simulation.warnings import (
     DivergenceError, inaccurate, more_axial, MOST_APART, NO_FINER_RUN, unseen_load)
 
 _STRETCHES = 3  # they answer centrifugal forces, an acceleration, a force on the tip
+SHORTER_STEPS, MORE_OF_MODES = 'a smaller integrator.step', 'more model.modes'
 _BEGUN = 0.1  # share of the distance that a warning needs, at which remedies are judged
 PARTS = 2, 8, 32  # of a step, from which those of the finer run are chosen
 # A pick-up excites all modes, and the error falls only as 1/N: there are more of them.
@@ -208,12 +209,12 @@ class Motions(NamedTuple):
 
 
 def measure(run: Motions, warning: str | None,
-            find_remedy: bool = True) -> tuple[tuple[float, float], str | None]:
+            with_remedy: bool = True) -> tuple[tuple[float, float], str | None]:
     """
     Return the errors of the tip's place and deflection in a run, and the warning it calls for.
 
     If a finer run diverges or is far off, others with shorter steps are tried; errors are NaN if
-    all diverge. `warning` is that of the run so far. With `find_remedy` the warning of a large
+    all diverge. `warning` is that of the run so far. With `with_remedy` the warning of a large
     error names what moves the tip most, by up to four more runs, otherwise all remedies. What
     comes after the first finer run is judged by the part of the run until the error is a tenth
     of that which a warning needs, so that it costs little.
@@ -236,22 +237,23 @@ def measure(run: Motions, warning: str | None,
     # warning counts. In `newton` both runs may stay on a motion that is unstable in truth.
     earlier = (unseen_load(fine.scene) if scene.values['model.formulation'] == 'exact'
                else warning)
-    remedy = (_remedy(part, round(scene.step / fine.scene.step), part.distances(fine))
-              if find_remedy and max(errors) > limit else None)
+    remedy = (find_remedy(part, round(scene.step / fine.scene.step), part.distances(fine),
+                          _BEGUN * limit)
+              if with_remedy and max(errors) > limit else None)
     return errors, earlier or inaccurate(scene, errors[0], errors[1], remedy)
 
 
-def _remedy(run, parts, errors):
+def find_remedy(run: Motions, parts: int, errors: tuple[float, float], limit: float) -> str:
     """
     Return a change of the scene that mends most of its error, or of that of its deflection.
 
     Of steps, modes and equations, it is the first one that moves the tip by half of the error,
     else the one that moves it most; it is '' if none moves it by a tenth. Axial modes move it,
-    too, if the steps do not resolve them: they are last.
+    too, if the steps do not resolve them: they are last. `parts` of a step take its place. The
+    error of the place counts if it is above the limit [m].
     """
-    scene, limit = run.scene, _BEGUN * MOST_APART * run.scene.manipulator.arm.length
-    changes = {'a smaller integrator.step': (parts, 0, 0, True),
-               'more model.modes': (1, None, 0, True)}
+    scene = run.scene
+    changes = {SHORTER_STEPS: (parts, 0, 0, True), MORE_OF_MODES: (1, None, 0, True)}
     if not {*needed_static(scene.manipulator, scene.values['model.modes'])} <= {*scene.static}:
         changes = {'model.static_modes auto': (1, 0, 0, False), **changes}
     exact, stretches = (scene.values['model.formulation'] == 'exact',
