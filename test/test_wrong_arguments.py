@@ -145,8 +145,6 @@ def calls(folder):
             'mapping': none, 'starts': none, 'hold_out_records': '[]', 'tell': none,
             'time': 'None 1e300'}
     yield fit.sample, {'n': 2, 'seed': 0}, {'seed': '0'}
-    yield fit.next_input, {'limit': None, 'duration': None}, {
-        'limit': 'None 1e300', 'duration': none}
     yield fit.save, {'path': folder / 'fit.yaml'}, {'path': "'x'"}
     yield timo_sim.export_c, {
         'scene': scene, 'folder': folder / 'c', 'target': 'host', 'estimate': False,

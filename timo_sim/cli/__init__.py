@@ -481,8 +481,6 @@ def sweep(file: str, output: str | None, workers: int | None, scheduler: str | N
     'End with the search: no intervals by profile and no suspects, which can take longer.'))
 @click.option('--time', type=float, metavar='SECONDS', help=(
     'Most that the fit may take: the search then ends with the best so far.'))
-@click.option('--next', 'further', type=_FILE, metavar='NEXT.csv', help=(
-    'Table to write: an input for the next record, which narrows the widest interval most.'))
 @click.option('--window', type=float, metavar='SECONDS', help=(
     'Fit windows of about this length, each with an initial state of its own.'))
 @click.option('--loss', default='linear', show_default=True,
@@ -494,8 +492,8 @@ def sweep(file: str, output: str | None, workers: int | None, scheduler: str | N
 def fit(records: tuple[str, ...], scene: str | None, free: tuple[str, ...],
         bounds: tuple[str, ...], settings: tuple[str, ...], mapping: tuple[str, ...],
         outputs: str | None, hold_out: float, hold_out_record: tuple[str, ...],
-        starts: int | None, quick: bool, time: float | None, further: str | None,
-        window: float | None, loss: str, output: str | None, png: str | None) -> None:
+        starts: int | None, quick: bool, time: float | None, window: float | None, loss: str,
+        output: str | None, png: str | None) -> None:
     r"""
     Fit parameters of a scene to RECORDs: logs, bags or tables, and predict the rest of them.
 
@@ -512,11 +510,10 @@ def fit(records: tuple[str, ...], scene: str | None, free: tuple[str, ...],
     far is reported and written; 2 bad input.
     """
     from timo_sim.fitting.result import fit, read_scene_and_records
-    from timo_sim.log.tables import write_table
     from timo_sim.scene.parameters import ModelWarning, ParameterError
     from timo_sim.scene.scene import load_scene
     _require(matplotlib=png)
-    for path in filter(None, (output, png, further)):  # before minutes are spent
+    for path in filter(None, (output, png)):  # before minutes are spent
         if not Path(path).absolute().parent.is_dir():
             raise FileNotFoundError(f'{path} cannot be written: its folder does not exist')
     if output and Path(output).exists():
@@ -541,13 +538,6 @@ def fit(records: tuple[str, ...], scene: str | None, free: tuple[str, ...],
         click.echo(f'{found.save(output)} is written')
     if png:
         _draw(found.plot(), png)
-    if further:
-        best, *others = found.next_input()
-        click.echo(f'the interval of {best.widest} is the widest; what is left of it with another '
-                   f'record of {best.quantity}: ' + ', '.join(
-                       f'{each.kind} {each.ratios[each.widest]:.0%}' for each in (best, *others)))
-        write_table({'time_s': best.t, best.quantity: best.values}, Path(further))
-        click.echo(f'{further} is written: {best.kind}')
     if found.stopped:
         sys.exit(1)
 

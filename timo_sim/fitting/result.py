@@ -18,7 +18,6 @@ import numpy as np
 from timo_sim.extras import optional
 from timo_sim.fitting.logs import read_log
 from timo_sim.fitting.mapping import is_mapping, read_record
-from timo_sim.fitting.next import next_inputs, NextInput
 from timo_sim.fitting.objective import LOSSES, Objective
 from timo_sim.fitting.record import Record, unit_of
 from timo_sim.fitting.problem import (
@@ -197,8 +196,8 @@ class Fit(Prediction):
         Other sets of values, by name, with which the records are fitted as well.
     more : list of Prediction
         Of further records, with those that were held out at the end.
-    posterior, information : Posterior, ndarray of shape (p, p)
-        With the coordinates of the minimum; the inverse of their covariance for white residuals.
+    posterior : Posterior
+        With the coordinates of the minimum.
     suspects : list of Suspect
         What the scene may lack, that of the largest share of the squares of the residuals first;
         empty if these are white.
@@ -218,7 +217,6 @@ class Fit(Prediction):
     others: list = field(default_factory=list)
     more: list = field(default_factory=list)
     posterior: Any = None
-    information: Any = None
     suspects: list[Suspect] = field(default_factory=list)
     stopped: str = ''
 
@@ -285,29 +283,12 @@ class Fit(Prediction):
         two for each. Raises ParameterError if a parameter is not identified, since the records
         then allow any value of it, or if the fit was stopped before its intervals.
         """
-        self._needs_intervals('samples')
+        if self.posterior is None:
+            raise ParameterError('samples must have intervals, before which the fit was stopped')
         lost = [name for name, each in self.estimates.items() if not each.identified]
         if lost:
             raise ParameterError(f'samples need parameters that are identified: fix {lost[0]}')
         return self.posterior.sample(n, seed, self.scene)
-
-    def next_input(self, limit: float | None = None,
-                   duration: float | None = None) -> list[NextInput]:
-        """
-        Return inputs for the next record: step, chirp, multisine, and that of the first again.
-
-        They are sorted by how much they narrow the widest interval. `limit` bounds them, by
-        default by the largest value of the first record's input; `duration` is by default that of
-        the first record [s]. Raises ParameterError if that has no input other than drive, or if
-        the fit was stopped before its intervals.
-        """
-        self._needs_intervals('a next input')
-        return next_inputs(self.posterior.objective, self.posterior.x, self.information,
-                           self.scene, limit, duration)
-
-    def _needs_intervals(self, what):
-        if self.posterior is None:
-            raise ParameterError(f'{what} must have intervals, before which the fit was stopped')
 
     @checked(path=PATH)
     def save(self, path: str | Path) -> Path:
@@ -468,16 +449,15 @@ def fit(scene: SceneLike | None, record: RecordLike | Sequence[RecordLike], free
                 objective, search.x, intervals.posterior.jacobian, intervals.posterior.residuals),
             [], 'what the residuals look like')
         phases.doubts[bool(search.stopped):bool(search.stopped)] = name_suspects(likely)
-    information, unidentified = intervals.information(objective, estimates)
     first, *more = predictions
     states, values = objective.states(search.x), objective.values(search.x, 0)
     result = Fit(
         record=first.record, errors=first.errors, run=first.run, predicted=first.predicted,
         until=first.until, scene=objective.problems[0].scene_of(values, states[0]),
-        estimates=estimates, correlation=intervals.correlation, unidentified=unidentified,
-        white=intervals.white, warnings=phases.doubts, seconds=seconds, starts=search.tried,
-        others=search.others, more=more, posterior=intervals.posterior, information=information,
-        suspects=likely, stopped=search.stopped)
+        estimates=estimates, correlation=intervals.correlation,
+        unidentified=intervals.unidentified(objective, estimates), white=intervals.white,
+        warnings=phases.doubts, seconds=seconds, starts=search.tried, others=search.others,
+        more=more, posterior=intervals.posterior, suspects=likely, stopped=search.stopped)
     if phases.doubts:
         warn('; '.join(phases.doubts))
     return result
@@ -522,16 +502,16 @@ class _Intervals(NamedTuple):
                     (name for name, edge in edges.items() if abs(at - edge) < _AT_BOUND), ''))
         return estimates
 
-    def information(self, objective, estimates):
-        """Return the information of white residuals, (p, p), and unidentified combinations."""
+    def unidentified(self, objective, estimates):
+        """Return the combinations of parameters that are not identified."""
         if self.posterior is None:
-            return None, []
+            return []
         count, jacobian = len(objective.free), self.posterior.jacobian
         # Project the states of windows out: what is left only the parameters can explain.
         q, _ = np.linalg.qr(jacobian[:, count:])
         own = jacobian[:, :count] - q @ (q.T @ jacobian[:, :count])
         lost = {name for name, each in estimates.items() if not each.identified}
-        return own.T @ own, unidentified_combinations(own, [*estimates], lost)
+        return unidentified_combinations(own, [*estimates], lost)
 
 
 def _find_intervals(search, phases, quick):
