@@ -378,7 +378,7 @@ def replay(file: str, settings: tuple[str, ...], formulation: str | None, scene:
     'File of the run: *.mcap (a log), *.parquet or *.csv. An existing log is never overwritten; '
     '_1, _2, ... is appended.'))
 @click.option('--rate', type=float, metavar='HZ', help=(
-    'Samples per second of sim time; by default about 100, or as many as show all that moves.'))
+    'Samples per second of sim time; by default all steps, of a long run up to 20000.'))
 @click.option('--estimate/--no-estimate', default=True, show_default=True,
               help='Measure the error by a finer run.')
 @click.option('--view', is_flag=True, help='Show the run in rerun.')
@@ -399,7 +399,7 @@ def simulate(scene: Scene, duration: float, output: str | None, rate: float | No
     Exit codes: 0 good; 1 the run diverges (samples up to there are written); 2 bad input.
     """
     from timo_sim.log.tables import check_table
-    from timo_sim.runs.simulate import closest_samples, resolve, simulate, thin
+    from timo_sim.runs.simulate import enough_samples, resolve, simulate
     from timo_sim.scene.parameters import ModelWarning, whole_ratio
     from timo_sim.simulation.warnings import DivergenceError
     if output and not output.endswith('.mcap'):
@@ -407,19 +407,16 @@ def simulate(scene: Scene, duration: float, output: str | None, rate: float | No
     _require(matplotlib=png or gif, rerun=view, pyarrow=output and output.endswith('.parquet'))
     scene, steps = resolve(scene, duration, click.echo)
     every = whole_ratio('1/integrator.step', 1.0 / scene.step, '--rate', rate) if rate else (
-        closest_samples(steps, scene.step))
+        enough_samples(steps))
     try:
         with warnings.catch_warnings():
             warnings.simplefilter('ignore', ModelWarning)  # `run.message` has its text
             run, diverged = simulate(scene, duration, every, estimate), None
     except DivergenceError as error:
         run, diverged = error.run, error
-    if not rate:
-        run = thin(run)
     click.echo(run.message)
-    if not rate and len(run.t) > 1:
-        click.echo(f'{1.0 / run.t[1]:.6g} samples a second' + (
-            ', of a long run: what is faster needs --rate' if every > 1 else ''))
+    if not rate and every > 1:
+        click.echo(f'{1.0 / (every * scene.step):.6g} samples a second: --rate chooses others')
     if output:
         click.echo(f'{run.save(output)} is written')
     if png:

@@ -11,8 +11,6 @@ from dataclasses import replace
 import math
 import sys
 
-import numpy as np
-
 from timo_sim.runs.run import Run, run_scene
 from timo_sim.scene.parameters import (
     checked, FLAG, Parameter, ParameterError, PARAMETERS, steps_in, warn)
@@ -27,10 +25,7 @@ _HORIZON = 10.0        # their sim time by default [s]
 _MAX_STEPS = 200_000   # most steps of one
 _MARGIN = 2.0          # least ratio of the stated error to that of the choice
 _ENOUGH_COMPARED = 500  # samples at which the tips of two runs are compared, if there are more
-_LONGEST = 0.01         # time between samples of `thin` at most [s]
-_MOST_SAMPLES = 1_000_000  # of a run to be thinned, if more are not needed for 100 Hz
-_BESIDE = 0.01          # most distance of a curve from lines between samples [ranges of the curve]
-_SEEN = 1e-6            # least travel that lines between samples show [arm lengths]
+_MOST_SAMPLES = 20_000  # of a run whose rate of samples is not given
 _STILL = 1e-13         # travel of a tip that only round-off moves [arm lengths]
 
 
@@ -95,7 +90,7 @@ def choose_resolution(scene: SceneLike, duration: float = 0.0) -> Run:
         steps = min(max(1, round((duration or _HORIZON) / step)), _MAX_STEPS)
         change = {'integrator.step': 0.5 * step}
         try:
-            run = run_scene(scene, steps, closest_samples(steps, step))
+            run = run_scene(scene, steps, enough_samples(steps))
         except DivergenceError:
             continue
         motions = Motions(scene, run.values, steps)
@@ -236,33 +231,7 @@ def _thin(run, every):
                    friction_heat=run.friction_heat[::every])
 
 
-def closest_samples(steps: int, step: float) -> int:
-    """Return the steps between samples of a run to be thinned: one, if it is not very long."""
-    most = max(1, round(_LONGEST / step))
-    first = min(max(1, steps // _MOST_SAMPLES), most)
-    return next((every for every in range(first, most + 1) if steps % every == 0), 1)
-
-
-def thin(run: Run) -> Run:
-    """
-    Return a run with as few of its samples, evenly spaced, as show what moves.
-
-    Straight lines between them are within a hundredth of its range of each curve: place of the
-    carrier, shaft angle, deflection. That takes 16 samples a period of a vibration that is alone.
-    There are 100 a second at least, if the number of samples has such a divisor.
-    """
-    samples, length = len(run.t) - 1, run.scene.manipulator.arm.length
-    curves = [run.carrier, length * run.shaft[:, np.newaxis], run.deflection()]
-    limits = [max(_BESIDE * np.ptp(curve, axis=0).max(), _SEEN * length) for curve in curves]
-
-    def show(every):
-        for curve, limit in zip(curves, limits):
-            step = np.diff(curve[::every], axis=0)
-            for k in range(1, every):
-                line = curve[:-1:every] + k / every * step
-                if np.abs(curve[k::every] - line).max() > limit:
-                    return False
-        return True
-    most = round(_LONGEST / run.t[1]) if samples else 1
-    return _thin(run, next((every for every in range(most, 1, -1)
-                            if samples % every == 0 and show(every)), 1))
+def enough_samples(steps: int) -> int:
+    """Return the steps between samples of a run: one, or more for one of more than 20 000."""
+    first = max(1, -(-steps // _MOST_SAMPLES))
+    return next((every for every in range(first, 10 * first) if steps % every == 0), 1)
