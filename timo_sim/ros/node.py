@@ -50,46 +50,34 @@ class SimNode(ParameterNode):
         # Compiling takes seconds. Services and topics come after it: others wait for these.
         super().__init__('timo_sim', start_parameter_services=False, **options)
         self._stop, self._lock, self._values = stop, threading.Lock(), self.given(files)
-        self._make(*self._prepare(self._values))
-        self.declare(self._values, self._on_parameters)
-        self._parameter_services = ParameterService(self)
-        self._offer_services()
-
-    def _prepare(self, values):
-        """
-        Resolve and check a scene, and compile it; return what `_make` needs.
-
-        This changes nothing, and raises all errors of a scene.
-        """
-        tell = self.get_logger().info
+        values, tell = self._values, self.get_logger().info
         if values['model.accuracy']:
             tell('choosing modes and step for model.accuracy')
         scene, steps = resolve(scene_from(values), values['duration'], tell)
         values.update(scene.values)
+        self._step = scene.step
         steps_each = steps_between_messages(values, scene.step)
         sync_steps(values, scene.step)
-        simulator = (EstimatingSimulator if values['estimate_error'] else Simulator)(scene)
-        simulator.warm_up(tell, messages=True)
-        doubts = find_implausible(scene.values)
-        if doubts:
+        self._simulator = (EstimatingSimulator if values['estimate_error'] else Simulator)(scene)
+        self._simulator.warm_up(tell, messages=True)
+        if doubts := find_implausible(scene.values):
             self.get_logger().warning(doubts)
-        return simulator, steps_each, steps or math.floor(LATEST / scene.step)
-
-    def _make(self, simulator, steps_each, end):
-        values, scene = self._values, simulator.scene
-        self._simulator, self._step = simulator, scene.step
         self.frames = frame_names(values)
         self._log = RunLog(self.get_logger())
         self._commands = Commands(self, values['motor.dc.resistance'] > 0.0, self.frames)
         self._outlets = self._make_outlets(scene)
         self._loop = Loop(simulator=self._simulator, values=values, commands=self._commands,
-                          outlets=self._outlets, log=self._log, logger=self.get_logger(), end=end)
+                          outlets=self._outlets, log=self._log, logger=self.get_logger(),
+                          end=steps or math.floor(LATEST / scene.step))
         self._health = Health(node=self, simulator=self._simulator, loop=self._loop,
                               commands=self._commands, log=self._log,
                               publishes_clock=values['publish_clock'])
         self._loop.configure(values, steps_each)
         self._description = Outlet(self, DESCRIPTION, TEXT, values['publish_tf'], latched=True)
         self._scene_topic = Outlet(self, '~/scene', TEXT, latched=True)
+        self.declare(values, self._on_parameters)
+        self._parameter_services = ParameterService(self)
+        self._offer_services()
 
     @property
     def subscriptions(self) -> Iterator[Subscription]:
