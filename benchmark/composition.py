@@ -295,8 +295,8 @@ def _run_shared(library, scene):
     assert arm.arm_get_outputs(memory, outputs) == 0
     found = dict(zip([each.title for each in interface.outputs], outputs))
     motion = Motion(other.motion.values)
-    assert [found['carrier_x'], found['carrier_y'], found['shaft']] == (
-        [*motion.carrier, motion.shaft])
+    assert [found['carrier_x'], found['carrier_y'], found['shaft'], found['encoder']] == (
+        [*motion.carrier, motion.shaft, other.sensors.encoder])
 
 
 def c_and_fmu(scene):

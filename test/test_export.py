@@ -18,7 +18,7 @@ from timo_sim.export.c import write_c
 from timo_sim.export.constants import interface_of
 from timo_sim.model.layout import FORCE_X, LOADS, place, TORQUE
 from timo_sim.scene.loads import CHANNELS
-from timo_sim.export.instance import SAVED
+from timo_sim.export.instance import MODAL, SAVED
 
 ROOT = Path(__file__).resolve().parents[1]
 RUN, ABUSE = (ROOT / 'test/data' / name for name in ('run_arm.c', 'abuse_arm.c'))
@@ -139,7 +139,8 @@ def compare(scene, folder, calls=30):
     state, output = np.array(found[0::2]), np.array(found[1::2])
     modes = len(simulator.model.modes)
     # The order of a motion: positions, modal coordinates, rates of both.
-    order = [1, 2, 3, *range(20, 20 + modes), 4, 5, 6, *range(20 + modes, 20 + 2 * modes)]
+    order = [1, 2, 3, *range(MODAL, MODAL + modes), 4, 5, 6,
+             *range(MODAL + modes, MODAL + 2 * modes)]
     np.testing.assert_allclose(output[-1, 0], simulator.t, rtol=1e-15)
     return (state[:, SAVED:], output[:, order], np.array(states), np.array(motions),
             output[:, 10:12], np.array(tips))
@@ -218,14 +219,42 @@ def test_sensors_forces_and_energy(name, tmp_path):
         x, y, theta = now.joint_positions
         along, across, rotation = now.tip
         wanted.append([*place(x, y, theta, along, across), theta + rotation,
-                       seen.gyro, *seen.tip_acceleration, seen.root_strain, *now.effort,
+                       seen.gyro, seen.encoder, seen.rotor, *seen.tip_acceleration,
+                       seen.root_strain, *now.effort,
                        now.energy])
     found = np.array(run_program(compile_program(RUN, tmp_path), lines))
-    outputs, wanted = found[:, [7, 8, 9, *range(12, 20)]], np.array(wanted)
+    outputs, wanted = found[:, [7, 8, 9, *range(12, 22)]], np.array(wanted)
     close = np.abs(outputs - wanted).max(axis=0) / np.abs(wanted).max(axis=0)
-    exact = [0, 1, 2, 3, 10]
+    exact = [0, 1, 2, 3, 4, 5, 12]
     assert close[exact].max() < 1e-13
     assert close.max() < 1e-6
+
+
+@pytest.mark.parametrize('delayed', [True, False])
+def test_sensors_have_the_errors_of_the_scene(delayed, tmp_path):
+    """They read what a Simulator's do, or did a delay before; until then what the first was."""
+    late = {'encoder': 5, 'tip_imu': 3, 'root_strain': 1} if delayed else {}
+    scene = scene_of({**SCENES['gear'], 'initial.shaft_velocity': 3.0, 'sensor.seed': 5, **{
+        f'sensor.{name}.noise': 0.01 for name in (
+            'root_strain', 'tip_acceleration', 'gyro', 'rotor', 'encoder')},
+        'sensor.encoder.resolution': 1e-3, 'sensor.gyro.bias': 0.3, **{
+        f'sensor.{name}.delay': steps * 0.001 for name, steps in late.items()}})
+    export(scene, tmp_path)
+    simulator, read = timo_sim.Simulator(scene), []
+    for _ in range(13):
+        seen = simulator.sensors
+        read.append([seen.gyro, seen.encoder, seen.rotor, *seen.tip_acceleration,
+                     seen.root_strain])
+        simulator.step(torque=1.0)
+    delays = [late.get(name, 0) for name in (
+        'tip_imu', 'encoder', 'rotor', 'tip_imu', 'tip_imu', 'root_strain')]
+    at = np.maximum(np.arange(13)[:, np.newaxis] - delays, 0)
+    found = run_program(compile_program(RUN, tmp_path), [
+        'i 4 1.0', 'o', *6 * ['s 1', 'o'], 'g', *6 * ['s 1', 'o'], 'r', 'p', 's 6', 'o'])
+    wanted = np.array(read)[at, range(6)]
+    np.testing.assert_allclose(np.array(found[:13])[:, 12:18], wanted, rtol=1e-6, atol=1e-12)
+    np.testing.assert_array_equal(np.array(found[:13])[:, 13], wanted[:, 1])
+    assert found[13] == found[12]  # a saved state has what is under way
 
 
 def test_other_processors_differ_by_round_off(tmp_path):
@@ -252,7 +281,7 @@ def test_code_for_aarch64(tmp_path):
     ('five modes, a static shape, push', False)])
 def test_an_emulated_aarch64_differs_by_round_off(name, estimate, tmp_path):
     """All outputs, 4 N m at the shaft for 0.2 s; accelerations are differences, good to 1e-8."""
-    scene, found = scene_of(SCENES[name]), []
+    scene, found = scene_of({**SCENES[name], 'sensor.encoder.noise': 0.1}), []
     torque = [each.column for each in interface_of(scene, False).inputs].index(TORQUE)
     for target, options, cc, emulator in (
             ('host', [], CC, []), ('aarch64', ['-static'], ARM, [QEMU])):
@@ -264,7 +293,7 @@ def test_an_emulated_aarch64_differs_by_round_off(name, estimate, tmp_path):
     scale = np.maximum(np.abs(here).max(axis=0), 1e-9)  # some are zero
     assert np.ptp(here, axis=0).max() > 0.1 and np.isfinite(there).all()
     difference = np.abs(there - here).max(axis=0) / scale
-    assert difference.max() < 1e-7 and difference[:12].max() < 1e-12
+    assert difference.max() < 1e-7 and difference[:15].max() < 1e-12
 
 
 def test_saved_state_goes_on_to_the_bit(tmp_path):
@@ -358,7 +387,6 @@ def test_refused(tmp_path):
     payload = {'payload.time': [1.0], 'payload.mass': [1.0], 'payload.inertia': [0.0]}
     for changes, options, message in (
             (payload, {}, 'payload.time'),
-            ({'sensor.encoder.noise': 0.1}, {}, 'sensor.encoder.noise must be 0'),
             ({'model.accuracy': 1e-5}, {}, 'model.accuracy must be 0'),
             ({'carrier.held': 'x', 'model.axial_modes': 1}, {}, 'model.axial_modes must be 0'),
             ({}, {'target': 'pdp11'}, 'target must be host, x86-64-v2'),

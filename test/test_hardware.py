@@ -30,7 +30,8 @@ SCENES = {
     'voltage, weight': (
         {'motor.dc.resistance': 2.0, 'motor.dc.torque_constant': 0.5, 'gravity': [0.0, -3.0],
          'arm.material': 'titanium', 'frame_prefix': 'left/', 'record_file': 'its.mcap',
-         'real_time_factor': 0.0},
+         'real_time_factor': 0.0, 'sensor.seed': 3, 'sensor.encoder.noise': 1e-3,
+         'sensor.tip_acceleration.noise': 0.1},
         {'force_x': FORCE_X, 'voltage': VOLTAGE}),
 }
 
@@ -83,19 +84,20 @@ def test_bits_and_log(name, program, tmp_path):
         simulator.advance(PERIOD, commanded)
         now = simulator.snapshot()
         half = 0.5 * (now.joint_positions[2] + now.tip[2])
-        wanted.append([*now.joint_positions, *now.joint_velocities, now.tip[1], math.sin(half),
-                       math.cos(half), *simulator.sensors.tip_acceleration])
+        wanted.append([*now.joint_positions, *now.joint_velocities, now.tip[1],
+                       simulator.sensors.encoder, math.sin(half), math.cos(half),
+                       *simulator.sensors.tip_acceleration])
     log = tmp_path / 'run.mcap'
     log.touch()  # not overwritten
     *found, step = run(program, lines, library, log)
     assert float.fromhex(step) == simulator.scene.step
     found = np.reshape([float.fromhex(each) for each in found], (60, -1))
     titles = ['carrier_x', 'carrier_y', 'shaft', 'carrier_x_velocity', 'carrier_y_velocity',
-              'shaft_velocity', 'tip_transverse', 'sin_half(tip_rotation)',
+              'shaft_velocity', 'tip_transverse', 'encoder', 'sin_half(tip_rotation)',
               'cos_half(tip_rotation)', 'tip_acceleration_x', 'tip_acceleration_y']
     found, wanted = found[:, [sources.index(title) for title in titles]], np.array(wanted)
     assert np.ptp(found, axis=0).min() > 1e-6  # all of them move
-    np.testing.assert_array_equal(found[:, :7], wanted[:, :7])
+    np.testing.assert_array_equal(found[:, :8], wanted[:, :8])
     # Accelerations are differences, good to some 1e-8.
     assert (np.abs(found - wanted).max(axis=0) < 1e-6 * np.abs(wanted).max(axis=0)).all()
 

@@ -5,18 +5,19 @@
 
 import numpy as np
 import pytest
+from scipy import stats
 
 import timo_sim
 from timo_sim.model import FORMULATIONS
-from timo_sim.scene.parameters import PARAMETERS
 from timo_sim.simulation.simulator import Simulator
 from timo_sim.simulation.snapshot import reading
+from timo_sim.steps.sensors import normal, philox
 from timo_sim.topics.cdr import form
 from timo_sim.topics.outputs import outputs, SENSORS, TRANSFORMS
 
 MOVING = {'initial.shaft_velocity': 2.0, 'initial.modal_rates': [2.0, 0.5, 0.1]}
-PERFECT = {name: parameter.default for name, parameter in PARAMETERS.items()}
 STEPS = 20000
+GYRO = 2  # among the sensors, whose random numbers depend on it
 
 
 def measured(simulator):
@@ -136,16 +137,19 @@ def test_strain_under_a_constant_force_is_that_of_statics(formulation):
     assert simulator.effort == pytest.approx([0.0, -1e-3, -2e-3], rel=1e-8, abs=1e-11)
 
 
-def shown(values, sensor, step, *quantities):
-    """Return the reading of a sensor for true values of its quantities."""
-    number, = (place for place, entry in enumerate(SENSORS) if entry.name == sensor)
-    return reading(values, sensor, number, step, quantities)
-
-
 def noise_of(sensor, steps=range(STEPS), axes=1, **changed):
     """Return readings of zeros by a sensor with unit noise, one row for each axis."""
-    values = {**PERFECT, f'sensor.{sensor}.noise': 1.0, **changed}
-    return np.array([shown(values, sensor, step, *[0.0] * axes) for step in steps]).T
+    scene = timo_sim.load_scene({f'sensor.{sensor}.noise': 1.0, **changed})
+    return np.array([reading(scene, sensor, step, [0.0] * axes) for step in steps]).T
+
+
+def test_random_bits_are_those_of_the_authors_of_philox():
+    """Known answers of Random123, kat_vectors."""
+    pi = [0x243f6a88, 0x85a308d3, 0x13198a2e, 0x03707344, 0xa4093822, 0x299f31d0]
+    for given, answer in ((6 * [0], '6627e8d5 e169c58d bc57ac4c 9b00dbd8'),
+                          (6 * [0xffffffff], '408f276d 41c83b0e a20bc7c6 6d5451fd'),
+                          (pi, 'd16cfe09 94fdcceb 5001e420 24126ea1')):
+        assert ' '.join(f'{word:08x}' for word in philox(*given)) == answer
 
 
 def test_noise_is_white_normal_and_independent():
@@ -157,7 +161,8 @@ def test_noise_is_white_normal_and_independent():
     assert np.abs(rows.std(axis=1) - 1.0).max() < 4.0 / np.sqrt(2.0 * STEPS)
     assert np.abs((np.abs(rows) > 1.96).mean(axis=1) - 0.05).max() < 4.0 * np.sqrt(0.0475 / STEPS)
     assert np.abs(np.corrcoef(rows) - np.eye(len(rows))).max() < 4.0 / np.sqrt(STEPS)
-    for lag in (1, 256):  # the next step, the next block of them
+    assert min(stats.kstest(row, 'norm').pvalue for row in rows) > 1e-3
+    for lag in (1, 256):
         assert np.abs((rows[:, lag:] * rows[:, :-lag]).mean(axis=1)).max() < 4.0 / np.sqrt(STEPS)
 
 
@@ -165,15 +170,17 @@ def test_noise_depends_on_the_step_and_not_on_earlier_readings():
     steps = [3, 2**40, 0, 255, 256, 70000, 3]
     at_once, backwards = noise_of('gyro', steps)[0], noise_of('gyro', steps[::-1])[0]
     assert np.array_equal(at_once, backwards[::-1]) and len(set(at_once)) == len(steps) - 1
+    # Machine code has the bits of Python.
+    assert at_once.tolist() == [normal(0, 2 * GYRO, step) for step in steps]
     # The noise of one axis does not depend on the other.
     both = noise_of('tip_acceleration', steps, axes=2)
     assert np.array_equal(both[0], noise_of('tip_acceleration', steps)[0])
 
 
 def test_bias_noise_and_resolution_in_this_order():
-    values = {**PERFECT, 'sensor.encoder.bias': 0.3, 'sensor.encoder.noise': 0.1,
-              'sensor.encoder.resolution': 0.25}
-    found = [shown(values, 'encoder', step, 5.0)[0] for step in range(200)]
+    scene = timo_sim.load_scene({'sensor.encoder.bias': 0.3, 'sensor.encoder.noise': 0.1,
+                                 'sensor.encoder.resolution': 0.25})
+    found = [reading(scene, 'encoder', step, [5.0])[0] for step in range(200)]
     random = noise_of('encoder', range(200))[0]
     assert found == [0.25 * round((5.3 + 0.1 * number) / 0.25) for number in random]
     assert len(set(found)) > 2
@@ -181,7 +188,8 @@ def test_bias_noise_and_resolution_in_this_order():
 
 @pytest.mark.parametrize('resolution', [5e-324, 1e-300, 1e-17])
 def test_a_resolution_below_that_of_numbers_rounds_nothing(resolution):
-    assert shown({**PERFECT, 'sensor.gyro.resolution': resolution}, 'gyro', 0, 1e8) == (1e8,)
+    scene = timo_sim.load_scene({'sensor.gyro.resolution': resolution})
+    assert reading(scene, 'gyro', 0, [1e8]) == (1e8,)
 
 
 def test_a_delay_that_does_not_fit_the_step_is_refused_with_the_ratio():

@@ -176,7 +176,6 @@ WRONG = {'sensor.seed': 7, 'sensor.encoder.noise': 1e-3, 'sensor.encoder.resolut
          'sensor.root_strain.noise': 1e-6, 'sensor.gyro.bias': 0.01, 'sensor.gyro.noise': 2e-3,
          'sensor.gyro.resolution': 5e-3, 'sensor.tip_acceleration.noise': 0.05}
 LATE = {'sensor.encoder.delay': 0.005, 'sensor.tip_imu.delay': 0.003}
-ENCODER = 3  # among the sensors, whose random numbers depend on it
 MOVING = {'initial.shaft_velocity': 2.0, 'initial.modal_rates': [2.0, 0.5, 0.1]}
 
 
@@ -224,11 +223,11 @@ def test_a_delayed_message_comes_later_with_the_time_of_measurement(start, clien
 
     # A reading is that of the true angle at the time of the header.
     truth = {step_of(state): state.position[2] for state in states}
-    values = timo_sim.load_scene(WRONG).values
+    scene = timo_sim.load_scene(WRONG)
     for message in angles:
         assert message.name == ['shaft'] and not message.velocity and not message.effort
         assert tuple(message.position) == reading(
-            values, 'encoder', ENCODER, step_of(message), (truth[step_of(message)],))
+            scene, 'encoder', step_of(message), (truth[step_of(message)],))
     assert motions[0].header.frame_id == 'tip' and motions[0].orientation_covariance[0] == -1.0
     assert motions[0].linear_acceleration.z == 9.80665
     assert [message.angular_velocity_covariance[8] for message in motions] == pytest.approx(

@@ -23,6 +23,7 @@ from timo_sim.model.layout import (
     AFTER, FORCE_I, FORCE_II, FORCE_X, FORCE_Y, LOADS, MOTOR_FRICTION, START, STEP_LOADS)
 from timo_sim.steps.bristles import BRISTLES, COLUMNS, MEMORY
 from timo_sim.steps.loads import add_commands, add_scene_loads, restart
+from timo_sim.steps.sensors import reading
 
 
 class Code(IntEnum):
@@ -72,6 +73,8 @@ class Instance(NamedTuple):
     tip: Annotated[np.ndarray, 3]    # of `model.functions.tip`
     place: Annotated[np.ndarray, 3]  # tip in world axes [m], rotation of the end effector [rad]
     outputs: Annotated[np.ndarray, 'outputs']
+    # Readings of the last steps, in turn; none if sensors are exact.
+    late: Annotated[np.ndarray, 'late', 'sensor_axes']
 
 
 class Plant(NamedTuple):
@@ -219,7 +222,8 @@ def lose(instance):
 
 
 # Numbers of the first output of rates and forces, and of the first one of a modal coordinate.
-FORCES, MODAL = 13, 20
+FORCES, MODAL = 15, 22
+SENSED = 17, 15, 16, 12, 13, 14  # numbers of the axes of SENSORS
 
 
 @entry_point(tables=Constants(), plant=Constants(), instance=Constants())
@@ -233,8 +237,8 @@ def set_rates(tables, plant, instance):
     x, y = accelerate(tables, plant, motion, state, load, instance.accelerations)
     x, y = x - plant.gravity[0], y - plant.gravity[1]
     sine, cosine = sincos(instance.place[2])
-    instance.outputs[13] = cosine * x + sine * y
-    instance.outputs[14] = cosine * y - sine * x
+    instance.outputs[15] = cosine * x + sine * y
+    instance.outputs[16] = cosine * y - sine * x
     return _OK
 
 
@@ -247,26 +251,32 @@ def set_forces(tables, plant, root, instance):
         accelerations[axis] -= plant.gravity[axis]
     effort(tables, motion, accelerations, load, needed)
     sine, cosine = sincos(motion[2])
-    out[16] = load[FORCE_X] + cosine * load[FORCE_I] - sine * load[FORCE_II]
-    out[17] = load[FORCE_Y] + sine * load[FORCE_I] + cosine * load[FORCE_II]
-    motor_speed = motion[half + 2]
-    for n in range(len(root.rotor)):
-        motor_speed = 0.0
-        for i in range(half):
-            motor_speed += root.rotor[n, i] / root.rotor[n, 2] * motion[half + i]
-    out[18] = motor_effort(tables, load, motor_speed)
+    out[18] = load[FORCE_X] + cosine * load[FORCE_I] - sine * load[FORCE_II]
+    out[19] = load[FORCE_Y] + sine * load[FORCE_I] + cosine * load[FORCE_II]
+    out[20] = motor_effort(tables, load, _at_rotor(root, motion, half))
     for joint in range(3):
         if root.constrained[joint] != 0:
-            out[16 + joint] = needed[joint] - out[16 + joint]
+            out[18 + joint] = needed[joint] - out[18 + joint]
     force, moment = root_forces(tables, root, motion, accelerations, needed, instance.acting)
-    out[15] = root_strain(root, motion, force, moment)
-    out[19] = energy(tables, motion, plant.gravity)
+    out[17] = root_strain(root, motion, force, moment)
+    out[21] = energy(tables, motion, plant.gravity)
     instance.mark[KNOWN] = 2
     return _OK
 
 
-@entry_point(plant=Constants(), instance=Constants())
-def set_outputs(plant, instance):
+@inner
+def _at_rotor(root, motion, begin):
+    """Return the angle (begin = 0) or speed of the rotor, or the shaft, where motors act."""
+    value = motion[begin + 2]
+    for n in range(len(root.rotor)):
+        value = 0.0
+        for i in range(len(motion) // 2):
+            value += root.rotor[n, i] / root.rotor[n, 2] * motion[begin + i]
+    return value
+
+
+@entry_point(plant=Constants(), root=Constants(), instance=Constants())
+def set_outputs(plant, root, instance):
     """Write the outputs from the motion and the place of the tip."""
     motion, out, half = instance.motion, instance.outputs, len(instance.motion) // 2
     out[0] = instance.mark[STEPS] * plant.step
@@ -283,8 +293,20 @@ def set_outputs(plant, instance):
         out[MODAL + k] = motion[3 + k]
         out[MODAL + modes + k] = motion[half + 3 + k]
     out[12] = turning
+    out[13] = motion[2]
+    out[14] = _at_rotor(root, motion, 0)
     out[MODAL + 2 * modes] = instance.error[0]
     instance.mark[KNOWN] = 1
+    return _OK
+
+
+@entry_point(errors=Constants(), instance=Constants(), axis=int, number=int)
+def measure(errors, instance, axis, number):
+    """Turn an output into the reading of an axis that arrives now; until one does, the first."""
+    now, late = instance.mark[STEPS], instance.late
+    late[now % len(late), axis] = reading(errors, axis, now, instance.outputs[number])
+    seen = max(now - errors.delay[axis], 0)
+    instance.outputs[number] = late[seen % len(late), axis]
     return _OK
 
 
@@ -305,7 +327,7 @@ def get_outputs(instance, count, values):
 
 # A saved state: steps, since when lines go to commands, whether the finer run diverged, error,
 # commands, goals, origins of lines, load, limits of commands, limits of their rates, friction;
-# then the state.
+# then the state, and late readings.
 _LIMITS = 4 + 4 * LOADS
 _FRICTION = _LIMITS + 2 * LOADS
 SAVED = _FRICTION + MEMORY
@@ -331,6 +353,9 @@ def _exchange_all(actuators, instance, values, saving):
     _exchange(actuators.rate, values, _LIMITS + LOADS, saving)
     _exchange(instance.friction, values, _FRICTION, saving)
     _exchange(instance.state, values, SAVED, saving)
+    late = instance.late
+    for row in range(len(late)):
+        _exchange(late[row], values, SAVED + len(instance.state) + row * late.shape[1], saving)
 
 
 @entry_point(actuators=Constants(), instance=Constants(), values=Array((None,)))
@@ -356,13 +381,15 @@ def check_state(instance, values):
         return _BAD_STATE
     if lost == 0.0 and not 0.0 <= values[3]:
         return _BAD_STATE
-    for k in range(4, SAVED + len(instance.state)):
+    late = instance.late
+    end = SAVED + len(instance.state)
+    for k in range(4, end + len(late) * late.shape[1]):
         if _LIMITS <= k and k < _FRICTION:
             if not values[k] > 0.0:
                 return _BAD_STATE
         elif not _finite(values[k]):
             return _NOT_FINITE
-        elif k >= _FRICTION and not -_LARGEST <= values[k] <= _LARGEST:
+        elif _FRICTION <= k and k < end and not -_LARGEST <= values[k] <= _LARGEST:
             return _BAD_STATE
     return _OK
 

@@ -56,7 +56,10 @@ class _Model:
             range(model.sectors) if model.sectors else [None])))]
         self.plant, self.loads = plant_of(simulator), pack(scene.load.rows(scene.step))
         self.tables, self.actuators = model.packed, Actuators(scene.values).packed
-        self.root = pack(model.root)
+        self.root, self.errors = pack(model.root), scene.sensor_errors
+        # The finer run has no sensors.
+        self.senses = number == 0 and scene.has_sensor_errors
+        self.delay = int(max(self.errors.delay))
         self.bristles = simulator.integration.bristles
         # What steps are differentiated by.
         self.differentiate, self.places = entry_for(model), model.free_places
@@ -66,7 +69,8 @@ class _Model:
             np.zeros(5), *3 * [np.zeros(LOADS)], *2 * [np.zeros(MEMORY)], *2 * [np.zeros(1)],
             *2 * [np.zeros(len(model.linear))], np.zeros((1, STEP_LOADS, LOADS)),
             np.zeros(WIDTH), *2 * [np.zeros(model.size)], *2 * [np.zeros(3)],
-            np.zeros(outputs)]))
+            np.zeros(outputs),
+            np.zeros((self.senses * (1 + self.delay), len(self.errors.delay)))]))
 
     @property
     def length(self):
@@ -76,7 +80,7 @@ class _Model:
     @property
     def saved(self):
         """Count of numbers of a saved state."""
-        return SAVED + self.instance.sizes['state']
+        return SAVED + self.instance.sizes['state'] + self.instance.late.size
 
     def specialise(self, entry, *constants):
         """Return the name of an entry point for constants of these sizes."""
@@ -262,10 +266,23 @@ class _Body:
         with builder.if_then(self.equal(known, 0)):
             builder.call(self.module.globals['observe.0'], [instance])
             self.call(own, instance, steps.set_outputs)
+            self.emit_measurements(instance, range(steps.FORCES))
         with builder.if_then(self.equal(stage, 2)):
             self.call(own, instance, steps.set_rates)
             self.call(own, instance, steps.set_forces)
+            self.emit_measurements(instance, range(steps.FORCES, steps.MODAL))
         builder.ret(self.word(0))
+
+    def emit_measurements(self, instance, numbers):
+        """Make readings of those outputs among some numbers that sensors measure."""
+        for axis, number in enumerate(steps.SENSED):
+            if self.models[0].senses and number in numbers:
+                self.call(self.models[0], instance, steps.measure, self.word(axis),
+                          self.word(number))
+
+    def emit_measurement_for_later(self, instance):
+        if self.models[0].senses and self.models[0].delay:
+            self.builder.call(self.module.globals['refresh'], [instance, self.word(2)])
 
     # The functions of the interface.
 
@@ -307,6 +324,7 @@ class _Body:
     def reset_all(self, instance):
         for model, each in self.each(instance):
             self.call(model, each, steps.reset)
+        self.emit_measurement_for_later(instance)
         self.emit_return()
 
     def copy_constants(self, instance):
@@ -381,6 +399,7 @@ class _Body:
             self.emit_return(code)
         if len(self.models) > 1:
             builder.call(self.module.globals['follow'], [instance])
+        self.emit_measurement_for_later(instance)
         number.add_incoming(builder.add(number, self.word(1)), builder.block)
         builder.branch(loop)
         builder.position_at_end(end)

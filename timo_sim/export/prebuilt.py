@@ -28,7 +28,7 @@ from timo_sim.export import instance
 from timo_sim.model import bodies, exact_code, functions, modes, newton
 from timo_sim.scene.scene import load_scene
 from timo_sim.simulation.finer import EstimatingSimulator
-from timo_sim.steps import bristles, etdrk4, lanes, loads
+from timo_sim.steps import bristles, etdrk4, lanes, loads, sensors
 
 # A carrier and a shaft that move freely, as in the paper; and an arm on a hub, on a carrier that
 # is held, as in the scene of `timo_sim new`. Each has the size of its finer run, too.
@@ -45,13 +45,13 @@ _KINDS: dict[str, list[type]] = {
     'bristles': [bristles.Bristles],
     'lane': [lanes.Lane], 'plan': [lanes.Plan],
     'loads': [loads.SceneLoads], 'actuators': [loads.Actuators], 'plant': [instance.Plant],
-    'root': [functions.Root],
+    'root': [functions.Root], 'errors': [sensors.SensorErrors],
     'instance': [instance.Instance]}
 
 
 def entries() -> Iterator[tuple[EntryPoint, tuple[type, ...]]]:
     """Yield the entry points, each with the kinds of its constants."""
-    for module in bodies, modes, functions, etdrk4, instance, lanes, loads:
+    for module in bodies, modes, functions, etdrk4, instance, lanes, loads, sensors:
         for entry in vars(module).values():
             if not isinstance(entry, EntryPoint) or entry.__module__ != module.__name__:
                 continue

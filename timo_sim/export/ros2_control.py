@@ -97,7 +97,8 @@ def _sensors(scene):
     turned = {'orientation.x': 0.0, 'orientation.y': 0.0,
               'orientation.z': 'sin_half(tip_rotation)', 'orientation.w': 'cos_half(tip_rotation)'}
     return {
-        'root': {'strain': 'root_strain'},
+        'root': {'strain': 'root_strain'}, 'encoder': {'position': 'encoder'},
+        **({'rotor': {'position': 'rotor'}} if scene.manipulator.gear else {}),
         'tip': {'axial': 'tip_axial', 'transverse': 'tip_transverse', 'rotation': 'tip_rotation'},
         'tip_pose': {'position.x': 'tip_x', 'position.y': 'tip_y', 'position.z': 0.0, **turned},
         'tip_imu': {

@@ -15,6 +15,8 @@ from typing import Any
 
 import numpy as np
 
+from timo_sim.compiled.constants import Packed
+from timo_sim.compiled.entry import Call
 from timo_sim.model import formulation_class
 from timo_sim.model.bodies import Constraints, Manipulator
 from timo_sim.model.formulation import Formulation
@@ -31,8 +33,10 @@ from timo_sim.scene.parameters import (
     changed, check, checked, complete, DELAYS, FUNCTION, gives_arm, MAPPING, NUMBER,
     ParameterError, PARAMETERS, POSITIONS, SCENE, short, VELOCITIES, warn, whole_ratio)
 from timo_sim.scene.plausible import find_implausible, find_outdated
+from timo_sim.scene.sensors import errors_of
 from timo_sim.scene.static_shapes import (
     fastest_shape, needed_static, SLOWED, STATIC, with_shapes)
+from timo_sim.steps.sensors import add_errors
 from timo_sim.topics.outputs import Output, outputs
 
 # Phase of an axial vibration in a step above which a scene has it slowed down [rad]: bent arms
@@ -180,6 +184,22 @@ class Scene:
         which that goes [m/s, rad/s]; 0, 0, 0, 0, 1 for joints without.
         """
         return dry_friction_of(self.values)
+
+    @cached_property
+    def sensor_errors(self) -> Packed:
+        """`SensorErrors` of the axes of SENSORS, in their order."""
+        return errors_of(self.values)
+
+    @cached_property
+    def add_sensor_errors(self) -> Call:
+        """`add_errors` of these."""
+        return add_errors.of(self.sensor_errors)
+
+    @cached_property
+    def has_sensor_errors(self) -> bool:
+        """Whether a reading differs from what is measured, or comes later."""
+        return any(value for name, value in self.values.items()
+                   if name.startswith('sensor.') and name != 'sensor.seed')
 
     @property
     def has_dry_friction(self) -> bool:

@@ -31,6 +31,7 @@ from timo_sim.simulation.loads import (
 from timo_sim.simulation.snapshot import Sensors, Snapshot
 from timo_sim.simulation.warnings import DivergenceError
 from timo_sim.steps.derivatives import step_derivatives
+from timo_sim.steps.sensors import add_errors
 from timo_sim.steps.steps import CHUNK, Samples, Steps
 
 # Deflection beyond which the run counts as diverged, in arm lengths.
@@ -246,6 +247,7 @@ class Simulator(Stateful, PointsOfArm):
             if messages:
                 self.model.tip(motion)
                 self._table.actuators.warm_up()
+                add_errors.of(self.scene.sensor_errors)
                 self.model.energy(motion[np.newaxis])
                 effort, snapshot = self.model.effort, self.snapshot()
                 effort(motion[np.newaxis], snapshot.accelerations[0][np.newaxis],

@@ -6,7 +6,8 @@
 from __future__ import annotations
 
 from collections.abc import Mapping, Sequence
-from functools import cached_property, lru_cache
+from functools import cached_property
+from itertools import accumulate
 import math
 from typing import Any
 
@@ -116,10 +117,6 @@ def add_bristles(scene: Scene, model: Formulation, motions: np.ndarray, loads: n
         loads -= np.outer(np.where(bent > 0.0, forward, backward) * bent, UNITS[k])
 
 
-_BLOCK = 256  # steps whose random numbers are drawn at once
-_EXACT = 2.0**53  # number of resolutions from which on a float is coarser than one
-
-
 class Sensors:
     """The sensors at one step, by name: a float, or an array for a sensor of several axes."""
 
@@ -139,26 +136,19 @@ class Sensors:
         return axes[0] if len(axes) == 1 else np.array(axes)
 
 
-def reading(values: Mapping[str, Any], name: str, number: int, step: int,
+def reading(scene: Scene, name: str, step: int,
             quantities: Sequence[float]) -> tuple[float, ...]:
     """
     Return the reading of a sensor at a step for the true quantities, a float for each axis.
 
     The noise is a function of seed, sensor, axis and time step alone; other measurements do not
-    change it. `values` are the scene's parameters, `number` is the sensor's position in `SENSORS`.
+    change it.
     """
-    noise, bias, resolution = (values[f'sensor.{name}.{kind}']
-                               for kind in ('noise', 'bias', 'resolution'))
-    result = []
-    for axis, quantity in enumerate(quantities):
-        quantity += bias
-        if noise:
-            block = _block(values['sensor.seed'], number, axis, step // _BLOCK)
-            quantity += noise * block[step % _BLOCK]
-        if resolution and abs(quantity) < _EXACT * resolution:
-            quantity = resolution * round(quantity / resolution)
-        result.append(quantity)
-    return tuple(result)
+    if not scene.has_sensor_errors:
+        return tuple(quantities)
+    values = np.array(quantities, dtype=float)
+    scene.add_sensor_errors(_FIRST_AXES[name], step, len(values), values)
+    return tuple(values.tolist())
 
 
 def variance(values: Mapping[str, Any], name: str) -> float:
@@ -167,15 +157,8 @@ def variance(values: Mapping[str, Any], name: str) -> float:
     return noise**2 + resolution**2 / 12.0
 
 
-@lru_cache(maxsize=16)
-def _block(seed, sensor, axis, block):
-    # Standard normal numbers. Each block has its own highest word of Philox's counter, which the
-    # count of the lower words never reaches.
-    bits = np.random.Philox(key=[seed, 2 * sensor + axis], counter=[0, 0, 0, block])
-    return np.random.Generator(bits).standard_normal(_BLOCK).tolist()
-
-
-_SENSORS = {sensor.name: (number, sensor) for number, sensor in enumerate(SENSORS)}
+_SENSORS = {sensor.name: sensor for sensor in SENSORS}
+_FIRST_AXES = dict(zip(_SENSORS, accumulate((len(each.columns) for each in SENSORS), initial=0)))
 
 
 class Snapshot:
@@ -260,8 +243,7 @@ class Snapshot:
 
     def sensor(self, name: str) -> tuple[float, ...]:
         """Return what a sensor reads, a tuple of float, one for each axis."""
-        number, sensor = _SENSORS[name]
-        return reading(self._scene.values, name, number, self.step, sensor.quantities(self))
+        return reading(self._scene, name, self.step, _SENSORS[name].quantities(self))
 
     def variance(self, name: str) -> float:
         """Return the variance of what a sensor reads, on each axis."""
