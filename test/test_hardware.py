@@ -187,7 +187,7 @@ def system(request, tmp_path_factory):
     if 'cannot find' in built.stderr:
         pytest.skip('this compiler has no sanitizers')
     assert built.returncode == 0, built.stderr
-    library, _ = export(folder, {})
+    library, _ = export(folder, {'sensor.encoder.noise': 1e-3})
     # Some kernels place memory where ThreadSanitizer cannot have it, unless told not to.
     fixed = ['setarch', '-R'] if shutil.which('setarch') else []
 
@@ -216,6 +216,18 @@ def test_the_clock_never_leaves_the_arm(system, tmp_path):
     place = content.index(b'offset_ns') + len(b'offset_ns')
     size = int.from_bytes(content[place:place + 4], 'little')
     assert int(content[place + 4:place + 4 + size]) == clock - round(1e9 * arm)
+
+
+def test_a_component_that_is_set_inactive_and_active_begins_anew(system):
+    """It rests in between, whatever is commanded; a second run has the bits of the first."""
+    run = ['activate', 'loop 3', 'command 1.0', 'loop 20', 'times', 'angle']
+    (first, angle, between, second, again) = system(
+        'p real_time_factor 0', 'init 500', 'configure', *run, 'deactivate', 'loop 5',
+        'command 2.0', 'loop 5', 'times', *run)
+    (clock, arm), (_, rest), (later, same) = (map(float, each.split()) for each in (
+        first, between, second))
+    assert later > clock and rest == 0.0 and same == arm == pytest.approx(0.038)
+    assert again == angle and float.fromhex(angle) != math.pi / 4
 
 
 def test_no_nanosecond_is_lost_at_300_hz(system):

@@ -140,6 +140,7 @@ public:
       RCLCPP_INFO(get_logger(), "log: %s", plant_->log_path().c_str());
     }
     next_ = SteadyClock::now();
+    active_ = true;
     return CallbackReturn::SUCCESS;
   }
 
@@ -166,7 +167,7 @@ public:
     for (const auto & each : commands_) {
       double value = 0.0;
       get_command(each.handle, value, true);
-      if (!std::isnan(value)) {
+      if (active_ && !std::isnan(value)) {  // an inactive arm rests, whoever commands it
         plant_->set(each.input, value);
         const std::lock_guard<std::mutex> lock(mutex_);
         if (!commanded_) {
@@ -225,6 +226,7 @@ private:
   // Go back to the start, and let the clock go on at once if the loop does not read.
   CallbackReturn leave(const State &)
   {
+    active_ = false;
     {
       const std::lock_guard<std::mutex> lock(mutex_);
       idle_ = patience_;
@@ -306,6 +308,7 @@ private:
   std::string record_file_;
   double factor_ = 1.0;  // sim time per wall time; 0: as fast as possible
   int64_t steps_ = 0;  // time steps in a period
+  bool active_ = false;
   std::chrono::nanoseconds wall_period_{0};
   SteadyClock::time_point next_;
   std::string told_;  // of the log's error

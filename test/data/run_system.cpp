@@ -2,7 +2,8 @@
  * Do what the lines of the standard input say with the hardware of ros2_control, as a controller
  * manager would: p NAME VALUE (a parameter of the hardware), init RATE, configure, activate,
  * deactivate, command VALUE, loop COUNT, stall PERIODS (read nothing until the clock has gone on by
- * as many), foreign (set the clock), room BYTES (that a file may have), times (print clock and arm).
+ * as many), foreign (set the clock), room BYTES (that a file may have), times (print clock and arm),
+ * angle (print that of the shaft).
  */
 #include <csignal>
 #include <iostream>
@@ -20,7 +21,7 @@ int main()
   static_assert(!std::is_copy_constructible_v<timo_sim_hardware::Plant>);
   std::signal(SIGXFSZ, SIG_IGN);
   hardware_interface::HardwareInfo info{};
-  info.joints = {{"shaft", {{"effort", {{"input", "torque"}}}}, {{"position", {}}}}};
+  info.joints = {{"shaft", {{"effort", {{"input", "torque"}}}}, {{"position", {{"output", "encoder"}}}}}};
   info.sensors = {{"arm", {}, {{"time", {{"output", "time"}}}}}};
   System system;
   const rclcpp_lifecycle::State state;
@@ -69,6 +70,8 @@ int main()
         getrlimit(RLIMIT_FSIZE, &room);
         std::cin >> room.rlim_cur;
         setrlimit(RLIMIT_FSIZE, &room);
+      } else if (what == "angle") {
+        std::printf("%a\n", system.get_state_interface_handle("shaft/position")->value.load());
       } else if (what == "times") {
         std::printf("%lld %.9f\n", static_cast<long long>(system.get_clock()->now().nanoseconds()),
           system.get_state_interface_handle("arm/time")->value.load());
