@@ -3,6 +3,7 @@
 
 """Compiled code: it computes what its source says, for any size, whoever compiled it before."""
 
+from concurrent.futures import ThreadPoolExecutor
 import math
 import os
 import subprocess
@@ -21,7 +22,8 @@ from timo_sim.compiled.entry import entry_point
 from timo_sim.compiled.functions import (
     Array, as_vectors, Constants, floor, inner, local, magnitude, where)
 from timo_sim.compiled.functions import WIDTH
-from timo_sim.model.functions import sincos, tanh
+from timo_sim.model.functions import rate_once, sincos, tanh
+from timo_sim.model.layout import LOADS
 from timo_sim.steps import etdrk4
 from timo_sim.steps.steps import matrices_of, Steps
 
@@ -225,6 +227,20 @@ def test_the_caller_may_compile_the_same_functions_with_numba_in_between():
     emit(entry(), ())
     assert numba.njit(lambda one, other: min(one, other))(2, 1) == 1
     emit(entry(), ())
+
+
+def test_code_for_any_size_does_the_same_in_threads_that_take_turns():
+    """A rate is that of the code for its size, whoever else uses the code for any size."""
+    models = [timo_sim.load_scene({'model.modes': modes}).build() for modes in (1, 2)]
+    states = [np.linspace(0.1, 0.2, len(model.linear)) for model in models]
+    load, expected = np.zeros(LOADS), [np.empty_like(state) for state in states]
+    for model, state, rate in zip(models, states, expected):
+        rate_once(model.packed, state, load, rate)
+        rate += model.linear @ state
+    with ThreadPoolExecutor(2) as pool:
+        rates = pool.map(lambda k: models[k % 2].rate(states[k % 2], load), range(2000))
+        for k, rate in enumerate(rates):
+            np.testing.assert_allclose(rate, expected[k % 2], rtol=1e-12)
 
 
 RUN = """

@@ -34,13 +34,22 @@ class EntryPoint(Function):
         self._arrays = [given for given in arguments.values() if not isinstance(given, Constants)]
         self._known: dict[Any, Any] = {}
 
-    def of(self, *constants: Packed) -> 'Call':
-        """Return the function for some constants, with machine code for their sizes."""
-        key = tuple([each.key for each in constants])
+    def of(self, *constants: Packed, any_size: bool = False) -> 'Call':
+        """
+        Return the function for some constants, with machine code for their sizes.
+
+        `any_size` is slower code that serves all sizes, and differs in round-off.
+        """
+        key = any_size, *[each.key for each in constants]
         if key not in self._known:
-            self._known[key] = _Code(machine.load(self, constants)), self._wanted(constants)
-        code, wanted = self._known[key]
-        return Call(self, code, wanted, constants)
+            code, sizes = machine.load(self, constants, any_size), []
+            if any_size:
+                sizes = [size for _, size in sorted(machine.symbols_of(constants).items())]
+            self._known[key] = ((_CodeForAnySize if any_size else _Code)(code),
+                                self._wanted(constants),
+                                [(ctypes.c_int64 * len(sizes))(*sizes)] * any_size)
+        code, wanted, places = self._known[key]
+        return Call(self, any_size, code, wanted, places, constants)
 
     def _wanted(self, constants):
         """Return for each argument the function that returns what passes it; whether once."""
@@ -65,6 +74,8 @@ def entry_point(fast: bool = True, **arguments: Any) -> Callable[[Callable], Ent
 
 _Place = ctypes.c_char * 0
 _Code = ctypes.CFUNCTYPE(ctypes.c_int64)  # arguments are ctypes objects, so that none is converted
+# It has sizes in global variables: it keeps the lock of Python, so that threads take turns.
+_CodeForAnySize = ctypes.PYFUNCTYPE(ctypes.c_int64)
 _NUMBERS: dict[Any, Any] = {int: ctypes.c_int64, float: ctypes.c_double}
 _SHORT = 2**16  # longest array that a Call keeps in memory [B]
 _NONE = object()  # is no argument
@@ -73,15 +84,16 @@ _NONE = object()  # is no argument
 class Call:
     """A function of machine code with its constants; called with the other arguments."""
 
-    def __init__(self, entry: EntryPoint, code: Any, wanted: list[Any],
-                 constants: tuple[Packed, ...]) -> None:
+    def __init__(self, entry: EntryPoint, any_size: bool, code: Any, wanted: list[Any],
+                 sizes: list[Any], constants: tuple[Packed, ...]) -> None:
         self._entry, self._code, self._wanted, self._constants = entry, code, wanted, constants
-        self._places = [each.place for each in constants]
+        self._any_size = any_size
+        self._places = sizes + [each.place for each in constants]
         # Cache: arguments of the last call, and what passed them. The same object needs no check.
         self._last: tuple[list[Any], list[Any]] = [_NONE] * len(wanted), [None] * len(wanted)
 
     def __reduce__(self):
-        return self._entry.of, self._constants
+        return partial(self._entry.of, any_size=self._any_size), self._constants
 
     def __call__(self, *args: Any) -> int:
         """Call the machine code; ValueError if an array is not of the shape or type it reads."""

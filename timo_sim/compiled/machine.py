@@ -6,7 +6,8 @@ Machine code of entry points for given sizes, from LLVM's intermediate code.
 
 Intermediate code has symbols in place of sizes (see `emit`). Here they get their values, LLVM
 optimises the code and makes an object file of it, in which nothing refers to Python. It is kept
-in the store and loaded.
+in the store and loaded. Code for any size gets the values at each call: it is several times
+slower, and there is nothing to compile for another size.
 """
 
 from collections.abc import Callable, Iterator
@@ -120,20 +121,33 @@ def specialise(code: bytes, symbols: dict[str, int], machine: Any, name: str) ->
     """
     Return a module of LLVM, optimised, whose one function has a name.
 
-    It is made of `intermediate_code` with the values of `symbols_of`, for a target machine.
+    It is made of `intermediate_code` with the values of `symbols_of`, for a target machine. Where
+    all are None it is code for any size, which takes them in an array before other arguments.
     """
     _initialise()
-    module = llvm.parse_bitcode(code)
-    module.link_in(llvm.parse_assembly(''.join(
-        f'@"{symbol}" = constant i64 {value}\n' for symbol, value in symbols.items())))
+    module, any_size = llvm.parse_bitcode(code), None in symbols.values()
+    module.link_in(llvm.parse_assembly(_taking(
+        symbols, name, module.get_function(_ENTRY)) if any_size else ''.join(
+            f'@"{symbol}" = constant i64 {value}\n' for symbol, value in symbols.items())))
     module.triple, module.data_layout = str(machine.triple), str(machine.target_data)
     for each in [*module.functions, *module.global_variables]:
         if not each.is_declaration:
             each.linkage = 'internal'
-    entry = module.get_function(_ENTRY)
+    entry = module.get_function(name if any_size else _ENTRY)
     entry.linkage, entry.name = 'external', name
     _optimise(module, machine)
     return module
+
+
+def _taking(symbols, name, entry):
+    # Text of a function that sets variables to the values of symbols, and calls the entry.
+    given = ', '.join(f'{each.type} %{k}' for k, each in enumerate(entry.arguments))
+    return '\n'.join([
+        f'declare i64 @{_ENTRY}({given})', *(f'@"{symbol}" = global i64 0' for symbol in symbols),
+        f'define i64 @"{name}"(ptr %sizes, {given}) {{', *(
+            f'%p{k} = getelementptr i64, ptr %sizes, i64 {k}\n%v{k} = load i64, ptr %p{k}\n'
+            f'store i64 %v{k}, ptr @"{symbol}"' for k, symbol in enumerate(symbols)),
+        f'%result = call i64 @{_ENTRY}({given})', 'ret i64 %result', '}'])
 
 
 def module_for_target(entry: Any, constants: tuple[Any, ...], target: str, name: str) -> Any:
@@ -186,9 +200,16 @@ def _engine():
 _ADDRESSES: dict[str, int] = {}
 
 
-def load(entry: Any, constants: tuple[Any, ...]) -> int:
-    """Return the address of the machine code of an entry point for some constants' sizes."""
-    kinds, symbols = tuple(each.kind for each in constants), symbols_of(constants)
+def load(entry: Any, constants: tuple[Any, ...], any_size: bool = False) -> int:
+    """
+    Return the address of the machine code of an entry point for some constants' sizes.
+
+    That for any size takes the sorted values of `symbols_of` before other arguments.
+    """
+    kinds = tuple(each.kind for each in constants)
+    symbols: dict[str, Any] = symbols_of(constants)
+    if any_size:
+        symbols = dict.fromkeys(sorted(symbols))
     name = _digest(entry, kinds, symbols, 'host')
     with _LOCK:
         if name not in _ADDRESSES:

@@ -5,6 +5,7 @@
 
 from abc import ABC, abstractmethod
 from collections.abc import Callable, Sequence
+from copy import copy
 from functools import cached_property
 import math
 from typing import Any, NamedTuple
@@ -91,10 +92,12 @@ class Formulation(ABC):
         Number of sectors of half a turn, each with its linear part, see `Exact.in_sector`; or 0.
     speed_limit : float
         Shaft speed above which the equations are unstable, whatever the step [rad/s].
+    any_size : bool
+        Whether accelerations and efforts are those of `of_any_size`.
 
     """
 
-    sectors, speed_limit = 0, math.inf
+    sectors, speed_limit, any_size = 0, math.inf, False
 
     def __init__(self, manipulator: Manipulator, count: int, damping: ArrayLike = 0.0,
                  constraints: Constraints = Constraints(), nodes: int | None = None,
@@ -250,8 +253,8 @@ class Formulation(ABC):
         specific, acting, effort = (np.empty((count, size)) for size in (self.size // 2, LOADS, 3))
         specific[:], acting[:] = accelerations, loads
         specific[:, :2] -= self.gravity  # held in gravity is the same as accelerated against it
-        efforts(self.packed, np.ascontiguousarray(motions, dtype=float), specific, acting,
-                count, effort)
+        efforts.of(self.packed, any_size=self.any_size)(
+            np.ascontiguousarray(motions, dtype=float), specific, acting, count, effort)
         return effort
 
     @cached_property
@@ -303,12 +306,20 @@ class Formulation(ABC):
     def rate(self, state: np.ndarray, load: np.ndarray) -> np.ndarray:
         """Return the rate of a state under a load, linear part included, shape (m,)."""
         rate = np.empty(len(state))
-        rate_once(self.packed, state, load, rate)
+        rate_once.of(self.packed, any_size=True)(state, load, rate)
         return self.linear @ state + rate
 
     @cached_property
     def _accelerations(self):
-        return accelerations_of.of(self.packed, pack(Flow(self.linear, self.points.rotation)))
+        return accelerations_of.of(self.packed, pack(Flow(self.linear, self.points.rotation)),
+                                   any_size=self.any_size)
+
+    def of_any_size(self) -> 'Formulation':
+        """Return the formulation with code that is not made for its size, for few calls."""
+        other = copy(self)
+        other.any_size = True
+        other.__dict__.pop('_accelerations', None)
+        return other
 
     def accelerations(self, motions: np.ndarray, states: np.ndarray,
                       loads: np.ndarray) -> tuple[np.ndarray, np.ndarray]:

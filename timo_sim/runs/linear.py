@@ -240,6 +240,7 @@ def linearize(scene: SceneLike, at: np.ndarray | None = None, contact: str = '')
             'initial.equilibrium, or give another motion as `at`')
     equilibrium = at
     formulation, at = in_contact(scene, formulation, at, contact)
+    formulation = formulation.of_any_size()
     state = formulation.state(at)
     warn_of_friction(scene, formulation)
     a, to_state, places = state_matrix(formulation, at, load, scene.bristles)
