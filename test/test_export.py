@@ -22,7 +22,10 @@ from timo_sim.export.instance import MODAL, SAVED
 
 ROOT = Path(__file__).resolve().parents[1]
 RUN, ABUSE = (ROOT / 'test/data' / name for name in ('run_arm.c', 'abuse_arm.c'))
-CC, ARM, QEMU = map(shutil.which, ('cc', 'aarch64-linux-gnu-gcc', 'qemu-aarch64'))
+CC = shutil.which('cc')
+# Compiler and emulator of other processors.
+CROSS = {name: (shutil.which(f'{name}-linux-gnu-gcc'), shutil.which(f'qemu-{name}'))
+         for name in ('aarch64', 'riscv64')}
 pytestmark = pytest.mark.skipif(CC is None, reason='needs a C compiler')
 NO_LOADS = {f'load.{channel}.{kind}': () for channel in CHANNELS for kind in (
     'harmonic.amplitude', 'harmonic.frequency', 'harmonic.phase', 'piecewise.time',
@@ -257,6 +260,18 @@ def test_sensors_have_the_errors_of_the_scene(delayed, tmp_path):
     assert found[13] == found[12]  # a saved state has what is under way
 
 
+@pytest.mark.parametrize('name', ['held', 'gear', 'axial', 'newton'])
+def test_shape_is_that_of_views_and_ends_at_the_tip(name, tmp_path):
+    scene = scene_of({**SCENES[name], 'hub.radius': 0.3})
+    export(scene, tmp_path)
+    simulator = timo_sim.Simulator(scene)
+    line, outputs = run_program(compile_program(RUN, tmp_path), ['s 70', 'c', 'o'])
+    simulator.advance(70)
+    wanted = simulator.model.shape(simulator.motion.values[np.newaxis])[0, 1:]  # without the hub
+    np.testing.assert_allclose(np.reshape(line, (-1, 2)), wanted, rtol=0.0, atol=1e-12)
+    np.testing.assert_allclose(line[-2:], outputs[7:9], rtol=0.0, atol=1e-12)
+
+
 def test_other_processors_differ_by_round_off(tmp_path):
     scene = scene_of({})
     export(scene, tmp_path, 'x86-64-v2')
@@ -275,16 +290,18 @@ def test_code_for_aarch64(tmp_path):
                                  stdout=subprocess.PIPE).stdout
 
 
-@pytest.mark.skipif(not (ARM and QEMU), reason='needs qemu-user and gcc-aarch64-linux-gnu')
-@pytest.mark.parametrize('name, estimate', [
-    ('free', True), ('newton', False), ('sticking', False),
-    ('five modes, a static shape, push', False)])
-def test_an_emulated_aarch64_differs_by_round_off(name, estimate, tmp_path):
+@pytest.mark.parametrize('other, name, estimate', [
+    ('aarch64', 'free', True), ('aarch64', 'newton', False), ('aarch64', 'sticking', False),
+    ('aarch64', 'five modes, a static shape, push', False), ('riscv64', 'held', False)])
+def test_an_emulated_processor_differs_by_round_off(other, name, estimate, tmp_path):
     """All outputs, 4 N m at the shaft for 0.2 s; accelerations are differences, good to 1e-8."""
+    if not all(CROSS[other]):
+        pytest.skip(f'needs qemu-user and gcc-{other}-linux-gnu')
+    cross, qemu = CROSS[other]
     scene, found = scene_of({**SCENES[name], 'sensor.encoder.noise': 0.1}), []
     torque = [each.column for each in interface_of(scene, False).inputs].index(TORQUE)
     for target, options, cc, emulator in (
-            ('host', [], CC, []), ('aarch64', ['-static'], ARM, [QEMU])):
+            ('host', [], CC, []), (other, ['-static'], cross, [qemu])):
         folder = tmp_path / target
         export(scene, folder, target, estimate=estimate)
         found.append(run_program(compile_program(RUN, folder, *options, cc=cc), [

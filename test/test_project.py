@@ -61,7 +61,7 @@ def test_licences_and_cited_equations():
 
 # From the ground up, as doc/design.md lists them: a folder may import from those before it.
 LAYERS = ['version', 'extras', 'compiled', 'model', 'steps', 'topics', 'scene',
-          'simulation', 'log', 'export', 'view', 'runs', 'fitting', 'control', 'gym', 'ros', 'cli',
+          'simulation', 'log', 'view', 'runs', 'fitting', 'control', 'export', 'gym', 'ros', 'cli',
           '__main__', '__init__']
 MODULES = {'.'.join(path.relative_to(ROOT).with_suffix('').parts).removesuffix('.__init__'): path
            for path in (ROOT / 'timo_sim').rglob('*.py')}

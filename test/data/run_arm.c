@@ -1,7 +1,7 @@
 /*
  * Do what the lines of the standard input say with an exported arm:
  * i INPUT VALUE, l PARAMETER VALUE, s STEPS, r (reset), g (get the state), p (put the state of the last g back),
- * o (print all outputs), d (print the derivatives of a step), w (print the state). Numbers are printed exactly, as hexadecimal floats.
+ * o (print all outputs), d (print the derivatives of a step), w (print the state), c (print the centre line). Numbers are printed exactly, as hexadecimal floats.
  */
 #include <stdio.h>
 #include <stdlib.h>
@@ -42,6 +42,12 @@ int main(void)
                 printf("%a ", found[0][k]);
             printf("\n");
 #endif
+        } else if (what == 'c') {
+            double line[ARM_SHAPE][2];
+            code = arm_get_shape(instance, line);
+            for (int k = 0; k < 2 * ARM_SHAPE; ++k)
+                printf("%a ", line[0][k]);
+            printf("\n");
         } else if (what == 'w') {
             code = arm_get_state(instance, shown);
             for (int k = 0; k < ARM_STATE_SIZE; ++k)

@@ -92,24 +92,29 @@ def _initialise():
     llvm.initialize_native_asmprinter()
 
 
-# Triple and processor of LLVM for each target of an export but the host.
+# Triple, processor and, where these are needed, features and ABI of LLVM for each target of an
+# export but the host.
 TARGETS = {'x86-64-v2': ('x86_64-unknown-linux-gnu', 'x86-64-v2'),
            'x86-64-v3': ('x86_64-unknown-linux-gnu', 'x86-64-v3'),
-           'aarch64': ('aarch64-unknown-linux-gnu', 'generic')}
+           'aarch64': ('aarch64-unknown-linux-gnu', 'generic'),
+           'riscv64': ('riscv64-unknown-linux-gnu', 'generic-rv64', '+m,+a,+f,+d,+c', 'lp64d'),
+           'wasm32': ('wasm32-unknown-unknown', 'generic'),
+           'wasm32-simd128': ('wasm32-unknown-unknown', 'generic', '+simd128')}
 
 
 def target_machine(name: str, reloc: str = 'pic', codemodel: str = 'default') -> Any:
     """Return LLVM's target machine of 'host' or one of TARGETS, with options of llvmlite."""
     _initialise()
     if name == 'host':
-        triple, processor = llvm.get_process_triple(), llvm.get_host_cpu_name()
-        features = llvm.get_host_cpu_features().flatten()
+        triple, *options = (llvm.get_process_triple(), llvm.get_host_cpu_name(),
+                            llvm.get_host_cpu_features().flatten())
     else:
         llvm.initialize_all_targets()
         llvm.initialize_all_asmprinters()
-        (triple, processor), features = TARGETS[name], ''
+        triple, *options = TARGETS[name]
     return llvm.Target.from_triple(triple).create_target_machine(
-        cpu=processor, features=features, opt=3, reloc=reloc, codemodel=codemodel)
+        **dict(zip(('cpu', 'features', 'abiname'), options)), opt=3, reloc=reloc,
+        codemodel=codemodel)
 
 
 def _loading_machine():

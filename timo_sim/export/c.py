@@ -15,6 +15,7 @@ from timo_sim.compiled.machine import TARGETS
 from timo_sim.export.constants import Interface, interface_of, Quantity, refuse
 from timo_sim.export.instance import Code
 from timo_sim.export.library import library, TEXTS
+from timo_sim.model.formulation import DRAWN
 from timo_sim.scene.files import check_target, whole_file
 from timo_sim.scene.parameters import checked, FLAG, ParameterError, PATH, short, TEXT
 from timo_sim.scene.scene import load_scene, SceneLike
@@ -49,6 +50,7 @@ extern "C" {
 #define NAME_OUTPUTS $outputs /* count of outputs */
 #define NAME_PARAMETERS $parameters /* count of parameters */
 #define NAME_MOTION $motion /* count of numbers of a motion */
+#define NAME_SHAPE $drawn /* count of points of a shape */
 
 enum name_code {
 $codes
@@ -102,6 +104,12 @@ int name_step_derivatives(name *instance,
 /* Get an output, or all of them, at the end of the last step; the first call computes them. */
 int name_get_output(name *instance, int output, double *value);
 int name_get_outputs(name *instance, double values[NAME_OUTPUTS]);
+
+/*
+ * Get the arm's shape, to draw: x and y of points of the centre line in the world [m], at equal
+ * distances along the arm from its root, which is the hub's radius from the carrier, to its tip.
+ */
+int name_get_shape(name *instance, double values[NAME_SHAPE][2]);
 
 /* Get or set the state: time, inputs, parameters, motion; runs go on from it to the last bit. */
 int name_get_state(const name *instance, double values[NAME_STATE_SIZE]);
@@ -202,7 +210,8 @@ def export_c(scene: SceneLike, folder: Path | str, target: str = 'host', estimat
     folder : Path or str
         Made if it does not exist; files of these names in it are replaced.
     target : str
-        'host', this computer's processor; 'x86-64-v2', 'x86-64-v3' or 'aarch64', for Linux.
+        'host', this computer's processor; 'x86-64-v2', 'x86-64-v3', 'aarch64' or 'riscv64', for
+        Linux; 'wasm32' or 'wasm32-simd128', for WebAssembly.
     estimate : bool
         Whether a finer run is advanced beside, to estimate the error of the tip; doc/scene.md
         says what that costs.
@@ -301,7 +310,7 @@ def _header(interface, made, step, target, name):
         saved=made.saved, inputs=len(inputs), outputs=len(outputs), parameters=len(parameters),
         codes=_enum(name, [Quantity(code.name, '', TEXTS[code]) for code in Code]),
         input_list=_enum(name, inputs), output_list=_enum(name, outputs),
-        parameter_list=_enum(name, parameters), motion=made.motion)
+        parameter_list=_enum(name, parameters), motion=made.motion, drawn=DRAWN)
 
 
 def _main(interface: Interface, step: float, name: str) -> str:

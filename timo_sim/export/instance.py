@@ -17,8 +17,8 @@ from timo_sim.compiled.entry import entry_point
 from timo_sim.compiled.functions import (
     Array, Constants, floor, inner, square_root, strict, WIDTH)
 from timo_sim.model.functions import (
-    accelerate, copy, effort, energy, linear_part_is_valid, motor_effort, root_forces, root_strain,
-    sincos)
+    accelerate, copy, effort, energy, linear_part_is_valid, motor_effort, place_point, root_forces,
+    root_strain, sincos)
 from timo_sim.model.layout import (
     AFTER, FORCE_I, FORCE_II, FORCE_X, FORCE_Y, LOADS, MOTOR_FRICTION, START, STEP_LOADS)
 from timo_sim.steps.bristles import BRISTLES, COLUMNS, MEMORY
@@ -200,6 +200,20 @@ def set_place(instance):
     instance.place[0] = motion[0] + (cosine * tip[0] - sine * tip[1])
     instance.place[1] = motion[1] + (sine * tip[0] + cosine * tip[1])
     instance.place[2] = motion[2] + tip[2]
+    return _OK
+
+
+@entry_point(tables=Constants(), outline=Constants(), instance=Constants(),
+             values=Array((None, 2)))
+def get_shape(tables, outline, instance, values):
+    """Write the places of points of the arm in the world, from the motion."""
+    motion = instance.motion
+    sine, cosine = sincos(motion[2])
+    for number in range(len(outline.lever)):
+        place_point(tables, outline, number, motion, values[number])
+        along, across = values[number, 0], values[number, 1]
+        values[number, 0] = motion[0] + (cosine * along - sine * across)
+        values[number, 1] = motion[1] + (sine * along + cosine * across)
     return _OK
 
 

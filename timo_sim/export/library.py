@@ -56,7 +56,8 @@ class _Model:
             range(model.sectors) if model.sectors else [None])))]
         self.plant, self.loads = plant_of(simulator), pack(scene.load.rows(scene.step))
         self.tables, self.actuators = model.packed, Actuators(scene.values).packed
-        self.root, self.errors = pack(model.root), scene.sensor_errors
+        self.root, self.outline = pack(model.root), pack(model.outline)
+        self.errors = scene.sensor_errors
         # The finer run has no sensors.
         self.senses = number == 0 and scene.has_sensor_errors
         self.delay = int(max(self.errors.delay))
@@ -71,6 +72,12 @@ class _Model:
             np.zeros(WIDTH), *2 * [np.zeros(model.size)], *2 * [np.zeros(3)],
             np.zeros(outputs),
             np.zeros((self.senses * (1 + self.delay), len(self.errors.delay)))]))
+
+    @property
+    def blocks(self):
+        """All constants, in an order that does not depend on their values."""
+        return [self.plant, self.loads, self.tables, self.actuators, self.root, self.outline,
+                self.errors, self.bristles, *(each for parts in self.parts for each in parts)]
 
     @property
     def length(self):
@@ -97,16 +104,24 @@ class _Body:
     Writes LLVM's code of the library's functions.
 
     `models` are the scene's own and, if the error is estimated, the finer one; the memory of the
-    second instance follows that of the first.
+    second instance follows that of the first. In WebAssembly (`wasm`) a size_t has 32 bits, and
+    constants are symbols, so that a page can put those of another scene in their place.
     """
 
-    def __init__(self, models: list[_Model], interface: Interface, name: str) -> None:
-        self.module = ir.Module()
+    def __init__(self, models: list[_Model], interface: Interface, name: str,
+                 wasm: bool) -> None:
+        self.module, self.wasm = ir.Module(), wasm
         self.models, self.interface, self.name = models, interface, name
         self.builder: Any = None
         self.offsets = [0, models[0].length]
         self.size = sum(model.length for model in models)
         self._keys: dict[Any, int] = {}  # numbers of constants; packed ones are keys themselves
+
+    @property
+    def symbols(self):
+        """Constants by the names of their symbols."""
+        return {f'{self.name}_constants_{number}': key for key, number in self._keys.items()
+                if isinstance(key, tuple)}
 
     # Pieces of code.
 
@@ -117,14 +132,17 @@ class _Body:
         """Return the place of a constant, which is made once."""
         if name not in self.module.globals:
             made = ir.GlobalVariable(self.module, kind, name)
-            made.initializer, made.global_constant = ir.Constant(kind, content), True
-            made.linkage, made.align = 'internal', align
+            made.initializer, made.align = ir.Constant(kind, content), align
+            made.global_constant = not self.wasm
+            made.linkage = '' if name.startswith(f'{self.name}_') else 'internal'
         return self.module.globals[name]
 
     def content(self, key, content, align=None):
         """Return the place of bytes; equal keys have the same place."""
         number = self._keys.setdefault(key, len(self._keys))
-        return self.constant(f'bytes.{number}', ir.ArrayType(ir.IntType(8), len(content)),
+        name = (f'{self.name}_constants_{number}' if self.wasm and isinstance(key, tuple) else
+                f'bytes.{number}')
+        return self.constant(name, ir.ArrayType(ir.IntType(8), len(content)),
                              bytearray(content), align)
 
     def data(self, *packed: Packed) -> Any:
@@ -339,12 +357,14 @@ class _Body:
                                self.at(goal, offset))
 
     def define_memory(self):
-        self.function(f'{self.name}_size', _WORD)
-        self.builder.ret(self.word(self.size))
-        memory, size = self.function(f'{self.name}_create', _INT, _POINTER, _WORD)
+        size_t = _INT if self.wasm else _WORD
+        needed = ir.Constant(size_t, self.size)
+        self.function(f'{self.name}_size', size_t)
+        self.builder.ret(needed)
+        memory, size = self.function(f'{self.name}_create', _INT, _POINTER, size_t)
         self.fail_if(self.is_null(memory), Code.NULL_POINTER)
         self.fail_if(self.misaligned(memory), Code.BAD_MEMORY)
-        self.fail_if(self.builder.icmp_unsigned('<', size, self.word(self.size)), Code.BAD_MEMORY)
+        self.fail_if(self.builder.icmp_unsigned('<', size, needed), Code.BAD_MEMORY)
         self.copy_constants(memory)
         self.reset_all(memory)
         instance, = self.public('reset')
@@ -440,6 +460,9 @@ class _Body:
         instance, values = self.public('get_outputs', _POINTER)
         self.builder.call(self.module.globals['refresh'], [instance, self.word(2)])
         self.emit_return(self.call(own, instance, steps.get_outputs, self.word(count), values))
+        instance, values = self.public('get_shape', _POINTER)
+        self.builder.call(self.module.globals['refresh'], [instance, self.word(1)])
+        self.emit_return(self.call(own, instance, steps.get_shape, values))
 
     def define_states(self):
         instance, values = self.public('get_state', _POINTER)
@@ -499,6 +522,24 @@ class Library(NamedTuple):
     size: int   # of the memory of an instance [B]
     saved: int  # count of numbers of a saved state
     motion: int  # count of numbers of a motion
+    models: list[_Model]
+    constants: dict[str, tuple[Packed, ...]]  # by symbol, which only WebAssembly has
+
+    def constants_of(self, simulators: list[Any], interface: Interface) -> bytes:
+        """
+        Return the constants of other simulators of the same sizes, those of all symbols.
+
+        Raises ValueError if their sizes differ.
+        """
+        found = {}
+        for model, simulator in zip(self.models, simulators, strict=True):
+            other = _Model(simulator, model.number, '', interface)
+            for own, each in zip(model.blocks, other.blocks, strict=True):
+                if own.key != each.key:
+                    raise ValueError(f'sizes of {own.kind.__name__} are others')
+                found.setdefault(id(own), each)
+        return b''.join(bytes(found[id(own)].memory[:own.length])
+                        for group in self.constants.values() for own in group)
 
 
 def library(simulators: list[Any], interface: Interface, target: str, name: str,
@@ -512,7 +553,7 @@ def library(simulators: list[Any], interface: Interface, target: str, name: str,
     target_machine = machine.target_machine(target)
     models = [_Model(each, number, target, interface)
               for number, each in enumerate(simulators)]
-    body = _Body(models, interface, name)
+    body = _Body(models, interface, name, target.startswith('wasm32'))
     module = llvm.parse_assembly(str(body.write(derivatives)))
     module.triple = str(target_machine.triple)
     module.data_layout = str(target_machine.target_data)
@@ -522,5 +563,5 @@ def library(simulators: list[Any], interface: Interface, target: str, name: str,
         if not function.is_declaration and not function.name.startswith(f'{name}_'):
             function.linkage = 'internal'
     return Library(target_machine.emit_object(module), body.size,
-                   sum(model.saved for model in models),
-                   simulators[0].model.size)
+                   sum(model.saved for model in models), simulators[0].model.size, models,
+                   body.symbols)

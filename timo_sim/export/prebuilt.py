@@ -45,7 +45,8 @@ _KINDS: dict[str, list[type]] = {
     'bristles': [bristles.Bristles],
     'lane': [lanes.Lane], 'plan': [lanes.Plan],
     'loads': [loads.SceneLoads], 'actuators': [loads.Actuators], 'plant': [instance.Plant],
-    'root': [functions.Root], 'errors': [sensors.SensorErrors],
+    'root': [functions.Root], 'outline': [functions.Outline],
+    'errors': [sensors.SensorErrors],
     'instance': [instance.Instance]}
 
 

@@ -573,6 +573,21 @@ def _tip(tables, motion, out):
         out[2] += motion[2 + i] * tables.tip_rotation[i]
 
 
+@functions.place_point.of(Tables)
+def _place_point(tables, outline, number, motion, out):
+    """Write the position of a point, the integral of the slopes up to it."""
+    to_point = as_vectors(outline.integral)
+    along = 0.0
+    across = 0.0
+    for j in range(to_point.shape[1]):
+        phi, gamma, strain = _fields(tables, motion, 2, 1, j)
+        sine, cosine = sincos(phi)
+        along += (cosine - gamma * sine + strain * cosine) * to_point[number, j]
+        across += (sine + gamma * cosine + strain * sine) * to_point[number, j]
+    out[0] = sum_of(along, tables.to_tip)
+    out[1] = sum_of(across, tables.to_tip)
+
+
 @functions.tip_rate.of(Tables)
 def _tip_rate(tables, motion, out):
     """Write the rate of the tip's place, the integral of the slopes' rates."""

@@ -16,12 +16,13 @@ from numpy.typing import ArrayLike
 from timo_sim.compiled.constants import pack, Packed
 from timo_sim.model.bodies import Constraints, Manipulator, Quadrature
 from timo_sim.model.functions import (
-    accelerations_of, coulomb, efforts, energies, Flow, gear_torque, rate_once, Root, tips, within)
+    accelerations_of, coulomb, efforts, energies, Flow, gear_torque, Outline, rate_once, Root,
+    tips, within)
 from timo_sim.model.layout import LINKS, LOADS, rotate
 from timo_sim.model.modes import axial_modes, GearMode, JoinedModes, Modes, modes_of
 
 
-_DRAWN = 41  # points of the centre line that views draw
+DRAWN = 41  # points of the centre line that views draw
 
 
 class Points(NamedTuple):
@@ -444,9 +445,14 @@ class Formulation(ABC):
             line = np.concatenate([motions[:, np.newaxis, :2], line], axis=1)
         return line
 
+    @property
+    def outline(self) -> Outline:
+        """The constants of `functions.place_point`, for the points that views draw."""
+        return Outline(self._drawn.lever, self._drawn.deflection, self._drawn.integral.T)
+
     @cached_property
     def _drawn(self):
-        return self.at(np.linspace(0.0, self.manipulator.arm.length, _DRAWN))
+        return self.at(np.linspace(0.0, self.manipulator.arm.length, DRAWN))
 
     def energy(self, motions: np.ndarray) -> np.ndarray:
         """

@@ -140,6 +140,19 @@ def tip(tables, motion, out):
     """
 
 
+class Outline(NamedTuple):
+    """Constants of `place_point`, of `formulation.Points`; each formulation uses its own."""
+
+    lever: Annotated[np.ndarray, 'drawn']
+    deflection: Annotated[np.ndarray, 'modes', 'drawn']
+    integral: Annotated[np.ndarray, 'drawn', 'padded_nodes']
+
+
+@declare
+def place_point(tables, outline, number, motion, out):
+    """Write the position of a point of an `Outline`, as `tip` does, (2,)."""
+
+
 @declare
 def tip_rate(tables, motion, out):
     """Write the rate of what `tip` writes, components along the turning axes, (3,)."""

@@ -601,3 +601,12 @@ def _tip(tables, motion, out):
     for n in range(len(tables.tip_deflection)):
         out[1] += motion[3 + n] * tables.tip_deflection[n]
         out[2] += motion[3 + n] * tables.tip_rotation[n]
+
+
+@functions.place_point.of(Tables)
+def _place_point(tables, outline, number, motion, out):
+    """Write the position of a point, (r_h + xi, w)."""
+    out[0] = outline.lever[number]
+    out[1] = 0.0
+    for n in range(len(outline.deflection)):
+        out[1] += motion[3 + n] * outline.deflection[n, number]
