@@ -24,7 +24,7 @@ export ROS_LOG_DIR ?= $(CURDIR)/run/ros_log
 PIP := pip install --quiet --no-compile --disable-pip-version-check
 METADATA := pyproject.toml setup.py setup.cfg
 
-.PHONY: help sim view test test-lowest test-without-ros graphics gallery picture modes pages paper \
+.PHONY: help sim view test test-lowest test-without-ros browser graphics gallery picture modes pages paper \
 	benchmark benchmark-quick benchmark-speed benchmark-speed-quick benchmark-latency benchmark-control \
 	benchmark-fit composition observer references real-arm stability stretch stress stress-quick docs clean
 
@@ -47,6 +47,9 @@ test test-lowest test-without-ros: export OPENBLAS_NUM_THREADS := 1
 PYTEST := -m pytest test --numprocesses 3 --dist worksteal
 test: $(VENV)/.test graphics ## pass all tests
 	@$(BIN)/python $(PYTEST)
+
+browser: $(VENV)/.test ## drive the page of export-web in the browsers that are installed
+	@$(BIN)/python -m pytest test/browser
 
 # Options that leave out the test files that import one of the modules $(1) (a pattern of grep).
 without = $(addprefix --ignore=,$(shell grep -rlE '^ *(import|from) ($(1))\b' test --include='*.py'))

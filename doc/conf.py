@@ -11,6 +11,7 @@ import subprocess
 from docutils.nodes import image, raw, Text
 from sphinx.addnodes import pending_xref
 import timo_sim
+from timo_sim.export.web import export_web
 
 project = html_title = 'timo_sim'
 author = 'The timo_sim authors'
@@ -85,7 +86,22 @@ def _adapt_figures(app, page):
         part.children = [Text(re.sub('<link [^>]*"https?:[^>]*>', '', part.astext()))]
 
 
+def _try_it(app, page, text):
+    """Put a page with three scenes in the place of its picture, if it can be linked."""
+    if page != 'web':
+        return
+    try:
+        names = 'arm', 'paper', 'standing'
+        export_web({name: name for name in names}, Path(app.outdir, 'arm.html'), estimate=False)
+    except OSError as error:
+        print(f'the site has a picture in place of the page to try: {error}')
+        return
+    frame = '<iframe src="arm.html" style="width: 100%; height: 1150px; border: 0"></iframe>'
+    text[0] = re.sub(r'^!\[.*$', f'```{{raw}} html\n{frame}\n```', text[0], flags=re.MULTILINE)
+
+
 def setup(app):
+    app.connect('source-read', _try_it)
     app.connect('include-read', _relative_to_doc)
     app.connect('doctree-read', _adapt_links)
     app.connect('doctree-read', _adapt_figures)

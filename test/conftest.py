@@ -21,6 +21,7 @@ from timo_sim.compiled.store import lock
 
 ROOT = Path(__file__).resolve().parents[1]
 PAPER = ROOT / 'config' / 'paper.yaml'
+BROWSER = ROOT / 'test' / 'browser'
 
 # Nodes of one test process must not see those of other runs or of other processes of pytest-xdist.
 os.environ.update(ROS_AUTOMATIC_DISCOVERY_RANGE='LOCALHOST', ROS_DOMAIN_ID=str(own_domain()))
@@ -92,12 +93,28 @@ NEED = {'ros/test_transforms.py': 'tf2_msgs', 'ros/test_interfaces.py': 'simulat
 collect_ignore = [path for path, package in NEED.items() if find_spec(package) is None]
 
 
-def pytest_terminal_summary(terminalreporter):
+def pytest_ignore_collect(collection_path, config):
+    """Leave out the tests in browsers, unless they are asked for: `make browser` does."""
+    if collection_path == BROWSER and not _asks_for_browsers(config):
+        return True
+
+
+def _asks_for_browsers(config):
+    return any(Path(config.invocation_params.dir, arg).is_relative_to(BROWSER)
+               for arg in config.args)
+
+
+def pytest_terminal_summary(terminalreporter, config):
     """Count the files that cannot run here in the last line, with the packages they need."""
+    left_out = {}
     if collect_ignore:
         packages = ', '.join(dict.fromkeys(NEED[path] for path in collect_ignore))
-        terminalreporter.stats[f'left out for want of {packages}'] = [
-            pytest.CollectReport(path, 'skipped', None, None) for path in collect_ignore]
+        left_out[f'left out for want of {packages}'] = collect_ignore
+    if not _asks_for_browsers(config):
+        left_out['left to make browser'] = [path.name for path in BROWSER.glob('test_*.py')]
+    for reason, paths in left_out.items():
+        terminalreporter.stats[reason] = [
+            pytest.CollectReport(path, 'skipped', None, None) for path in paths]
 
 
 # The fixtures `start`, `client` and `ros`: a node in its own process, and a client of it.

@@ -198,7 +198,8 @@ def export(file: str, output: str, topic: str | None, bag: bool, node: str | Non
 @click.option('--output', '-o', type=click.Path(file_okay=False), required=True,
               metavar='FOLDER', help='Folder to write to.')
 @click.option('--target', default='host', show_default=True,
-              help='Processor: host, x86-64-v2, x86-64-v3 or aarch64.')
+              help='Processor: host, x86-64-v2, x86-64-v3, aarch64, riscv64, wasm32 or '
+                   'wasm32-simd128.')
 @click.option('--estimate', is_flag=True,
               help='Advance a finer run beside, which measures the error of the tip.')
 @click.option('--name', default='arm', show_default=True, help='First part of all names in C.')
@@ -244,6 +245,31 @@ def export_fmu(scene: Scene, output: str, fmi: str, estimate: bool, target: str)
     from timo_sim.export.fmu import export_fmu
     click.echo('compiling, which takes up to half a minute', err=True)
     click.echo(export_fmu(scene, output, int(fmi), estimate, target))
+
+
+@main.command('export-web')
+@click.argument('scenes', nargs=-1, required=True, metavar='SCENE...')
+@_settings
+@click.option('--output', '-o', type=_FILE, required=True, metavar='FILE.html',
+              help='Page to write; an older one is replaced.')
+@click.option('--estimate/--no-estimate', default=True, show_default=True,
+              help='Advance a finer run beside, which measures the error of the tip.')
+def export_web(scenes: tuple[str, ...], settings: tuple[str, ...], output: str,
+               estimate: bool) -> None:
+    r"""
+    Write each SCENE, a file or a name, into one page that simulates it in a browser.
+
+    \b
+        timo_sim export-web paper -o arm.html
+        timo_sim export-web paper arm standing -o arms.html --no-estimate
+
+    The page needs no network, and opens from a folder. It needs the linker wasm-ld.
+    """
+    from timo_sim.export.web import export_web
+    from timo_sim.scene.scene import load_scene
+    changes = parse_settings(settings)
+    click.echo(export_web({Path(each).stem: load_scene(each, changes) for each in scenes},
+                          output, estimate, lambda text: click.echo(text, err=True)))
 
 
 @main.command()

@@ -1,0 +1,104 @@
+# Copyright 2026 The timo_sim authors
+# SPDX-License-Identifier: Apache-2.0
+
+"""A scene as WebAssembly and as a page: the motions of `Simulator`, in node."""
+
+import json
+from pathlib import Path
+import re
+import shutil
+import subprocess
+
+import numpy as np
+import pytest
+import timo_sim
+from timo_sim.export import web
+from timo_sim.export.c import write_c
+from timo_sim.export.constants import interface_of
+from timo_sim.export.web import export_web, link_wasm
+from timo_sim.model.layout import LOADS, place, TORQUE
+from test_export import SCENES, scene_of
+
+NEEDED = {'node': 'nodejs', 'wasm-ld': 'lld'}  # programs and packages of Debian
+MISSING = [f'{name} ({package})' for name, package in NEEDED.items() if not shutil.which(name)]
+pytestmark = pytest.mark.skipif(bool(MISSING), reason=f'needs {" and ".join(MISSING)}')
+# Prints all outputs after each of 10 times 100 steps under a torque.
+PROGRAM = """
+const [path, torque, count] = process.argv.slice(1);
+const content = require('fs').readFileSync(path);
+const arm = new WebAssembly.Instance(new WebAssembly.Module(content), {}).exports;
+const size = arm.arm_size(), place = (arm.__heap_base.value + 63) & ~63;
+const room = (place + size + 63) & ~63;
+arm.memory.grow(Math.ceil((room + 8 * count) / 65536));
+const values = new Float64Array(arm.memory.buffer, room, Number(count));
+if (arm.arm_create(place, size)) throw 'not created';
+if (torque >= 0) arm.arm_set_input(place, Number(torque), 0.7);
+for (let k = 0; k < 10; ++k) {
+    if (arm.arm_step(place, 100n) || arm.arm_get_outputs(place, room)) throw 'not stepped';
+    console.log(JSON.stringify(Array.from(values)));
+}
+"""
+HUB = {'hub.radius': 0.3, 'gravity': [1.0, 2.0], 'arm.damping_ratio': [0.02]}
+
+
+@pytest.mark.parametrize('name, target', [
+    ('free', 'wasm32'), ('hub', 'wasm32-simd128'), ('gear', 'wasm32-simd128'),
+    ('sticking', 'wasm32-simd128'), ('held', 'wasm32')])
+def test_a_thousand_steps_are_those_of_simulator(name, target, tmp_path):
+    """Scenes with a hub, an elastic gear, dry friction and gravity are among them."""
+    scene = scene_of({'hub': HUB, **SCENES}[name])
+    write_c(scene, tmp_path, target, derivatives=False)
+    (tmp_path / 'arm.wasm').write_bytes(link_wasm((tmp_path / 'arm.o').read_bytes()))
+    interface, simulator = interface_of(scene, False), timo_sim.Simulator(scene)
+    torque = [each.column for each in interface.inputs].index(TORQUE)
+    found = subprocess.run(['node', '-e', PROGRAM, tmp_path / 'arm.wasm', str(torque),
+                            str(len(interface.outputs))], check=True, capture_output=True)
+    commanded, modes = np.zeros(LOADS), len(simulator.model.modes)
+    commanded[TORQUE] = 0.7
+    motions = simulator.advance(1000, commanded, 100)[0][1:]
+    order = [1, 2, 3, *range(20, 20 + modes), 4, 5, 6, *range(20 + modes, 20 + 2 * modes)]
+    rows = np.array([json.loads(line) for line in found.stdout.splitlines()])[:, order]
+    assert np.ptp(motions, axis=0).max() > 0.01
+    assert np.abs(rows - motions).max() < 1e-13 * np.abs(motions).max()
+
+
+# Prints shaft and tip after 300 steps of each arm of a page.
+ARMS = """
+const fs = require('fs'), [script, page] = process.argv.slice(1);
+// The parts that need no page.
+eval(fs.readFileSync(script, 'utf8').split('const scenes =')[0] + 'globalThis.load = load;');
+const [scene] = JSON.parse(fs.readFileSync(page, 'utf8').match(/id="scenes">(.*?)<\\/script>/)[1]);
+load(scene).then(arm => {
+    for (let station = 0; station < scene.loops.length; ++station) {
+        arm.choose(station);
+        arm.reset();
+        arm.step(300);
+        console.log(JSON.stringify(['shaft', 'tip_x', 'tip_y'].map(name => arm.get(name))));
+    }
+});
+"""
+
+
+def test_sliders_of_a_page_choose_other_arms(tmp_path):
+    """They run as a Simulator of another mass, damping or stiffness does."""
+    scene = scene_of({'initial.shaft_velocity': 1.0, 'initial.modal_coordinates': [0.02, 0, 0]})
+    page = export_web({'arm': scene}, tmp_path / 'arm.html', estimate=False)
+    found = subprocess.run(['node', '-e', ARMS, Path(web.__file__).with_name('arm.js'), page],
+                           check=True, capture_output=True)
+    rows = [json.loads(line) for line in found.stdout.splitlines()]
+    data, = json.loads(re.search('id="scenes">(.*?)</script>', page.read_text())[1])
+    numbers = {each['label']: dict(each['stations']) for each in data['sliders']}
+    for label, value, changes in (
+            ('mass at the tip', 4.0, {'end_effector.mass': 4.0}),
+            ('damping ratio', 0.02, {'arm.damping_ratio': [0.02]}), ('stiffness', 0.5, None)):
+        simulator = timo_sim.Simulator(scene if changes else scene.vary({
+            'arm.young_modulus': 0.5 * 70.5e9, 'arm.shear_modulus': 0.5 * 27e9}))
+        if changes:
+            simulator.change(scene.vary(changes))
+        simulator.advance(300)
+        snapshot = simulator.snapshot()
+        x, y, theta = snapshot.joint_positions
+        wanted = theta, *place(x, y, theta, *snapshot.tip[:2])
+        assert rows[numbers[label][value]] == pytest.approx(wanted, abs=1e-12)
+        assert np.abs(np.subtract(wanted, rows[0])).max() > 1e-4
+    assert len(rows) == 13 and data['loops'][0]['frequency'] > 1.0
