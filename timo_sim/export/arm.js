@@ -389,7 +389,7 @@ function drawnLine(factor) {
 function drawPlane() {
   const [context, width, height] = fit(byId('plane'));
   const { body, hub, free, gravity } = scene, { carrier_x: x, carrier_y: y, shaft } = values;
-  const pixels = 0.5 * Math.min(width, height) / (1.18 * body.length);
+  const pixels = 0.5 * Math.min(width, height) / (1.12 * body.length);
   const place = ([a, b]) => [0.5 * width + (a - x) * pixels, 0.5 * height - (b - y) * pixels];
   const path = points => {
     context.beginPath();
@@ -463,7 +463,7 @@ function drawPlane() {
   context.setLineDash([]);
 
   // Carrier, hub, arm, end effector.
-  const [cx, cy] = place([x, y]), half = Math.max(8, 0.5 * body.carrier * pixels);
+  const [cx, cy] = place([x, y]), half = Math.max(11, 0.5 * body.carrier * pixels);
   context.fillStyle = colours.card;
   context.strokeStyle = colours.body;
   context.lineWidth = 2;
@@ -481,9 +481,9 @@ function drawPlane() {
     context.stroke();
   }
   context.strokeStyle = colours.arm;
-  context.lineWidth = Math.max(4, body.thickness * pixels);
+  context.lineWidth = Math.max(5, body.thickness * pixels);
   path(line);
-  const root = Math.max(5, hub * pixels, 0.4 * body.motor * pixels);
+  const root = Math.max(6, hub * pixels, 0.4 * body.motor * pixels);
   context.fillStyle = colours.body;
   context.beginPath();
   context.arc(cx, cy, root, 0, 2 * Math.PI);
@@ -499,7 +499,7 @@ function drawPlane() {
   context.strokeStyle = colours.card;
   context.lineWidth = 1.5;
   context.beginPath();
-  context.arc(tx, ty, Math.max(6, 0.5 * body.end_effector * pixels), 0, 2 * Math.PI);
+  context.arc(tx, ty, Math.max(7, 0.5 * body.end_effector * pixels), 0, 2 * Math.PI);
   context.fill();
   context.stroke();
 
@@ -554,7 +554,8 @@ function drawCurves() {
   const [context, width, height] = fit(byId('curves'));
   const left = 52, bottom = 20, each = (height - bottom) / PANELS.length;
   const end = Math.max(values.time, WINDOW), begin = end - WINDOW;
-  const across = time => left + (width - left - 6) * (time - begin) / WINDOW;
+  const right = width - 12;
+  const across = time => left + (right - left) * (time - begin) / WINDOW;
   context.font = '12px system-ui, sans-serif';
   context.lineJoin = 'round';
   PANELS.forEach((panel, number) => {
@@ -567,9 +568,10 @@ function drawCurves() {
           high = Math.max(high, sample[key] * panel.factor);
         }
     if (!(high >= low)) [low, high] = [0, 0];
-    const gap = nice(Math.max(high - low, panel.least) / 2.5);
+    const gap = nice(Math.max(high - low, panel.least) / clamp((base - top) / 36, 1, 3));
     low = Math.floor(low / gap) * gap;
     high = Math.max(Math.ceil(high / gap) * gap, low + gap);
+    const digits = clamp(Math.ceil(-1e-9 - Math.log10(gap)), 0, 9);
     const up = value => base - (base - top) * (value - low) / (high - low);
     context.lineWidth = 1;
     context.strokeStyle = colours.grid;
@@ -579,8 +581,9 @@ function drawCurves() {
     context.beginPath();
     for (let value = low; value <= high + 0.5 * gap; value += gap) {
       context.moveTo(left, up(value));
-      context.lineTo(width - 6, up(value));
-      context.fillText(figure(Math.abs(value) < 1e-9 * gap ? 0 : value), left - 6, up(value));
+      context.lineTo(right, up(value));
+      context.fillText((value + 0).toFixed(digits).replace(/^-(?=0\.?0*$)/, '').replace('-', '−'),
+                       left - 6, up(value));
     }
     for (let time = Math.ceil(begin / 2) * 2; time <= end; time += 2) {
       context.moveTo(across(time), top);
@@ -609,7 +612,7 @@ function drawCurves() {
       curve(panel.also, colours.second, [5, 4]);
       context.textAlign = 'right';
       context.fillStyle = colours.second;
-      context.fillText('goal', width - 8, top - 12);
+      context.fillText('goal', right, top - 12);
     }
     curve(panel.key, panel.key === 'torque' ? colours.load : colours.arm, []);
   });
