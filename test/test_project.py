@@ -155,8 +155,8 @@ without('pyarrow distributed')
 PROJECT = tomllib.loads((ROOT / 'pyproject.toml').read_text())['project']
 EXTRAS = PROJECT['optional-dependencies']
 # Distributions by module, where the names differ.
-DISTRIBUTIONS = {'llvmlite': 'numba', 'PIL': 'pillow', 'rerun': 'rerun-sdk',
-                 'rerun_cli': 'rerun-sdk', 'yaml': 'pyyaml'}
+DISTRIBUTIONS = {'cupy': 'cupy-cuda12x', 'llvmlite': 'numba', 'PIL': 'pillow',
+                 'rerun': 'rerun-sdk', 'rerun_cli': 'rerun-sdk', 'yaml': 'pyyaml'}
 # ROS packages that the node uses where they are installed.
 OPTIONAL_ROS = {'simulation_interfaces'}
 
@@ -224,7 +224,7 @@ def test_metadata_agree(packages):
 
 def test_imports_are_declared(packages):
     declared = {*requirements(PROJECT['dependencies'])}
-    for extra in re.findall(r'\w+', EXTRAS['all'][0].partition('[')[2]):
+    for extra in ['cuda', *re.findall(r'\w+', EXTRAS['all'][0].partition('[')[2])]:
         declared |= {*requirements(EXTRAS[extra])}
     imported = {module.split('.')[0]: path for path in MODULES.values()
                 for module in named_modules(path)}
@@ -271,7 +271,7 @@ run = timo_sim.simulate('paper', 0.1)
 for use in (lambda: run.plot(), lambda: run.view(), lambda: run.to_pandas(),
             lambda: run.save('run.parquet'), lambda: timo_sim.linearize('paper').to_control(),
             lambda: timo_sim.read_record('in.parquet', RECORD),
-            lambda: __import__('timo_sim.gym'),
+            lambda: __import__('timo_sim.gym'), lambda: timo_sim.Batch('paper', device='cuda'),
             lambda: timo_sim.simulate_many('paper', [{}], 0.1, scheduler='tcp://localhost:1')):
     try:
         use()
@@ -283,7 +283,7 @@ for use in (lambda: run.plot(), lambda: run.view(), lambda: run.to_pandas(),
         f"{package} is missing: pip install 'timo_sim[{extra}]'" for package, extra in (
             ('matplotlib', 'plot'), ('rerun', 'view'), ('pandas', 'pandas'),
             ('pyarrow', 'sweep'), ('control', 'control'), ('pyarrow', 'sweep'),
-            ('gymnasium', 'rl'), ('distributed', 'cluster'))]
+            ('gymnasium', 'rl'), ('cupy', 'cuda'), ('distributed', 'cluster'))]
     assert [*tmp_path.iterdir()] == [tmp_path / 'in.parquet']
     for package, extra in extras._EXTRAS.items():
         name = DISTRIBUTIONS.get(package, package).replace('_', '-')

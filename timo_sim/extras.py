@@ -7,7 +7,7 @@ from collections.abc import Iterator
 from contextlib import contextmanager
 
 _EXTRAS = {
-    'PIL': 'plot', 'control': 'control', 'distributed': 'cluster',
+    'PIL': 'plot', 'control': 'control', 'cupy': 'cuda', 'distributed': 'cluster',
     'gymnasium': 'rl', 'matplotlib': 'plot', 'pandas': 'pandas', 'pyarrow': 'sweep',
     'rclpy': 'ros', 'rerun': 'view', 'rerun_cli': 'view'}
 

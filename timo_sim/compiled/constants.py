@@ -70,8 +70,7 @@ def _layout(kind, shapes, lanes, pad, given):
                                  f'{field.dims} as of {sizes}')
         padded.append(shape)
         offsets[field.name] = end
-        vectors = (WIDTH,) if lanes and not field.whole else ()
-        whole = *shape, *vectors
+        whole = *shape, *_vectors(field, lanes)
         strides.append(tuple(_NUMBER * math.prod(whole[axis + 1:]) for axis in range(len(whole))))
         length = _NUMBER * math.prod(whole)
         end += _CACHE_LINE * math.ceil(length / _CACHE_LINE)  # as vectors should begin
@@ -79,29 +78,35 @@ def _layout(kind, shapes, lanes, pad, given):
     return sizes, padded, offsets, max(end, _CACHE_LINE), strides, key
 
 
+def _vectors(field, lanes):
+    """Return the axis of lanes of a field; lanes that are vectors have whole numbers in common."""
+    return (lanes,) if lanes and not (field.whole and lanes == WIDTH) else ()
+
+
 class Packed:
     """
     Constants in one block of memory, or a block for each group of lanes.
 
-    `fields` are a NamedTuple, the `kind` of constants; with lanes the first axis of every array is
-    that of lanes, and whole numbers are the same in all. Axes are padded if `pad`, not for
-    constants that are the same for all lanes. `sizes`, by name, are given for what no field has.
+    `fields` are a NamedTuple, the `kind` of constants. `lanes` is the number of lanes in a group,
+    WIDTH or WARP, or 0; with lanes the first axis of every array is that of lanes, and whole
+    numbers are the same in all. Axes are padded if `pad`, not for constants that are the same for
+    all lanes. `sizes`, by name, are given for what no field has.
 
     `offsets` are the places of fields in a block, by name, `length` is that of a block [B], and
     `groups` the number of blocks. `views` are the fields as arrays, by name, with lanes last.
     """
 
-    def __init__(self, fields: Any, lanes: bool, pad: bool, sizes: dict[str, int]) -> None:
+    def __init__(self, fields: Any, lanes: int, pad: bool, sizes: dict[str, int]) -> None:
         self.kind: Any = type(fields)
         self._lanes = lanes
         kind: Any = self.kind
         described = fields_of(kind)
         values = [np.asarray(value, dtype=np.int64 if field.whole else float)
                   for field, value in zip(described, fields)]
-        layout = _layout(kind, tuple(value.shape[lanes:] for value in values), lanes, pad,
+        layout = _layout(kind, tuple(value.shape[lanes > 0:] for value in values), lanes, pad,
                          tuple(sizes.items()))
         self.sizes, shapes, self.offsets, self.length, strides, self.key = layout
-        self.groups = len(values[0]) // WIDTH if lanes else 1
+        self.groups = len(values[0]) // lanes if lanes else 1
         memory = np.zeros(self.groups * self.length + _CACHE_LINE, dtype=np.uint8)
         begin = -memory.ctypes.data % _CACHE_LINE
         self.memory = memory[begin:begin + self.groups * self.length]
@@ -109,11 +114,11 @@ class Packed:
         for field, value, shape, steps in zip(described, values, shapes, strides):
             offset = self.offsets[field.name]
             if lanes:
-                vectors = (WIDTH,) if len(steps) > len(shape) else ()
+                vectors = _vectors(field, lanes)
                 view = np.ndarray((self.groups, *shape, *vectors), value.dtype, self.memory,
                                   offset, (self.length, *steps))
-                view[:] = value[:self.groups] if field.whole else np.moveaxis(
-                    value.reshape(self.groups, WIDTH, *shape), 1, -1)
+                view[:] = np.moveaxis(value.reshape(
+                    self.groups, lanes, *shape), 1, -1) if vectors else value[:self.groups]
             else:
                 view = np.ndarray(shape, value.dtype, self.memory, offset)
                 # What is padded stays zero.
@@ -122,11 +127,12 @@ class Packed:
         self.place = (ctypes.c_char * 0).from_buffer(self.memory.data)
 
     def __reduce__(self):
-        values = [np.repeat(view, WIDTH, 0) if field.whole else np.moveaxis(view, -1, 1).reshape(
-            self.groups * WIDTH, *view.shape[1:-1]) for field, view in zip(
-                fields_of(self.kind), self.views.values())] if self._lanes else (
-                    self.views.values())
-        return Packed, (self.kind._make(values), self._lanes, False, self.sizes)
+        lanes = self._lanes
+        values = [np.moveaxis(view, -1, 1).reshape(
+            self.groups * lanes, *view.shape[1:-1]) if _vectors(field, lanes) else np.repeat(
+                view, lanes, 0) for field, view in zip(
+                fields_of(self.kind), self.views.values())] if lanes else self.views.values()
+        return Packed, (self.kind._make(values), lanes, False, self.sizes)
 
     def __getattr__(self, name: str) -> np.ndarray:
         """Return a field as an array."""
@@ -138,9 +144,9 @@ class Packed:
 
 def pack(fields: Any, pad: bool = True, **sizes: int) -> Packed:
     """Return constants in one block of memory, see `Packed`."""
-    return Packed(fields, False, pad, sizes)
+    return Packed(fields, 0, pad, sizes)
 
 
-def pack_lanes(fields: Any, **sizes: int) -> Packed:
-    """Return constants of a multiple of WIDTH lanes in blocks of memory, see `Packed`."""
-    return Packed(fields, True, False, sizes)
+def pack_lanes(fields: Any, lanes: int = WIDTH, **sizes: int) -> Packed:
+    """Return constants of a multiple of `lanes` lanes in blocks of memory, see `Packed`."""
+    return Packed(fields, lanes, False, sizes)

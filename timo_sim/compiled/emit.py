@@ -27,9 +27,10 @@ from numba.extending import typeof_impl
 from timo_sim.compiled import duals, functions
 from timo_sim.compiled.constants import fields_of, local_arrays
 from timo_sim.compiled.duals import Constant, Dual, dual_of
-from timo_sim.compiled.functions import Array, Constants, Declaration, Function
+from timo_sim.compiled.functions import (
+    Array, Constants, Declaration, Function, Thread, WARP, WIDTH)
 from timo_sim.compiled.lanes import (
-    infer, LANES, MASK, represent, SHARED, spread, VECTOR, WIDTH)
+    infer, Lanes, LANES, lanes_of, Mask, represent, Shared, spread, THREAD)
 
 # Sums may be reordered and fused, which vectorises the short loops; NaN and Inf keep their
 # meaning, so that a diverged state is still seen ('fast' would assume them away).
@@ -43,18 +44,18 @@ _WORD, _BYTES = ir.IntType(64), ir.IntType(8).as_pointer()
 # Constants and arrays. Both are pointers; their sizes are known by type.
 
 class View(types.Type):
-    """An array: type of its elements, and lengths of its axes."""
+    """An array: type of its elements, lengths of its axes, how far apart elements are."""
 
-    def __init__(self, element: Any, dims: tuple[Any, ...]) -> None:
-        self.element, self.dims = element, dims
-        super().__init__(f'View({element}, {dims})')
+    def __init__(self, element: Any, dims: tuple[Any, ...], stride: int = 1) -> None:
+        self.element, self.dims, self.stride = element, dims, stride
+        super().__init__(f'View({element}, {dims})' + f'[::{stride}]' * (stride > 1))
 
 
 class Block(types.Type):
-    """Constants of a kind; `number` is that of their floats: float64, SHARED, LANES, Constant."""
+    """Constants of a kind; `number` is that of their floats: float64, Shared, Lanes, Constant."""
 
     def __init__(self, kind: type, number: Any) -> None:
-        self.kind, self.number = kind, number
+        self.kind, self.number, self.stride = kind, number, getattr(number, 'stride', 1)
         self.fields = {field.name: field for field in fields_of(kind)}
         super().__init__(f'Block({kind.__module__}.{kind.__name__}, {number})')
 
@@ -71,7 +72,8 @@ def _stored(number):
     # The type of a number in memory.
     if isinstance(number, Dual):
         return ir.ArrayType(ir.DoubleType(), number.size)
-    return VECTOR if number == LANES else _WORD if number == types.int64 else ir.DoubleType()
+    return number.vector if isinstance(number, Lanes) else (
+        _WORD if number == types.int64 else ir.DoubleType())
 
 
 def _loaded(number):
@@ -81,9 +83,7 @@ def _loaded(number):
 
 def _working(*numbers):
     # The type of numbers in work arrays beside others.
-    if any(number in (LANES, SHARED) for number in numbers):
-        return LANES
-    return dual_of(*numbers) or types.float64
+    return lanes_of(*numbers) or dual_of(*numbers) or types.float64
 
 
 represent(View, lambda view: _stored(view.element).as_pointer())
@@ -110,8 +110,8 @@ def _load(builder, place, number):
         return duals.load(builder, place, number)
     value = builder.load(place)
     value.align = 8
-    if number == SHARED:
-        return spread(builder, value)
+    if isinstance(number, Shared):
+        return spread(builder, value, number.vector)
     return value
 
 
@@ -128,7 +128,7 @@ class _BlockFields(AttributeTemplate):
         if field is None:
             return None
         number = _number_of(block, field)
-        return View(number, field.dims) if field.dims else _loaded(number)
+        return View(number, field.dims, block.stride) if field.dims else _loaded(number)
 
 
 @lower_getattr_generic(Block)
@@ -180,12 +180,14 @@ def _indices(index):
 def _infer_get_item(array, index):
     if isinstance(array, Blocks):
         return signature(array.block, array, types.intp)
-    if isinstance(array, Block) and array.number == SHARED:  # the same for each group of lanes
+    # What is shared is the same for each group of lanes.
+    if isinstance(array, Block) and isinstance(array.number, Shared):
         return signature(array, array, types.intp)
     if not isinstance(array, View):
         return None
     rest = array.dims[len(_indices(index)):]
-    return signature(View(array.element, rest) if rest else _loaded(array.element), array, index)
+    return signature(View(array.element, rest, array.stride) if rest else _loaded(array.element),
+                     array, index)
 
 
 @infer(operator.setitem)
@@ -207,6 +209,8 @@ def _place(context, builder, view, pointer, kind, index):
         if axis < len(kinds):
             place = builder.add(place, context.cast(builder, indices[axis], kinds[axis],
                                                     types.intp), flags=('nsw',))
+    if view.stride > 1:
+        place = builder.mul(place, ir.Constant(_WORD, view.stride), flags=('nsw',))
     return builder.gep(pointer, [place], inbounds=True)
 
 
@@ -280,15 +284,16 @@ def _define_intrinsic(function, name):
     def _infer_call(value):
         if isinstance(value, Dual) and function is not functions.floor:
             return signature(value, value)
-        return signature(LANES if value in (LANES, SHARED) else types.float64, value)
+        return signature(lanes_of(value) or types.float64, value)
 
     @lower_builtin(function, types.Float)
     @lower_builtin(function, types.Integer)
-    @lower_builtin(function, type(LANES))
-    @lower_builtin(function, type(SHARED))
+    @lower_builtin(function, Lanes)
+    @lower_builtin(function, Shared)
     def _call(context, builder, sig, arguments):
         value = context.cast(builder, arguments[0], sig.args[0], sig.return_type)
-        suffix = f'v{WIDTH}f64' if sig.return_type == LANES else 'f64'
+        lanes = lanes_of(sig.return_type)
+        suffix = f'v{lanes.width}f64' if lanes else 'f64'
         intrinsic = cgutils.get_or_insert_function(
             builder.module, ir.FunctionType(value.type, [value.type]), f'llvm.{name}.{suffix}')
         return builder.call(intrinsic, [value])
@@ -301,8 +306,7 @@ _define_intrinsic(functions.square_root, 'sqrt')
 
 @infer(functions.where)
 def _infer_where(condition, yes, no):
-    lanes = any(kind in (LANES, SHARED, MASK) for kind in (condition, yes, no))
-    result = LANES if lanes else dual_of(yes, no) or types.float64
+    result = lanes_of(condition, yes, no) or dual_of(yes, no) or types.float64
     return signature(result, condition, result, result)
 
 
@@ -350,9 +354,9 @@ def _infer_some(condition):
 
 @lower_builtin(functions.some, types.Any)
 def _some(context, builder, sig, arguments):
-    if sig.args[0] != MASK:
+    if not isinstance(sig.args[0], Mask):
         return arguments[0]
-    bits = builder.bitcast(arguments[0], ir.IntType(WIDTH))
+    bits = builder.bitcast(arguments[0], ir.IntType(sig.args[0].width))
     return builder.icmp_unsigned('!=', bits, ir.Constant(bits.type, 0))
 
 
@@ -389,8 +393,8 @@ def _all_as_vectors(context, builder, sig, arguments):
 def _infer_sum_of(vector, like):
     if dual_of(like.element):
         return signature(vector, vector, like)
-    lanes = like.element in (LANES, SHARED)
-    return signature(LANES if lanes else types.float64, LANES, like)
+    lanes = lanes_of(like.element)
+    return signature(lanes or types.float64, lanes or LANES, like)
 
 
 @lower_builtin(functions.sum_of, types.Any, View)
@@ -398,13 +402,13 @@ def _alone(context, builder, sig, arguments):
     return arguments[0]
 
 
-@lower_builtin(functions.sum_of, LANES, View)
+@lower_builtin(functions.sum_of, Lanes, View)
 def _sum_of(context, builder, sig, arguments):
     # Halves are added to each other, in an order that no optimiser changes.
     value, width, index = arguments[0], WIDTH, ir.IntType(32)
-    if sig.return_type == LANES:
+    if isinstance(sig.return_type, Lanes):
         return value
-    nothing = ir.Constant(VECTOR, ir.Undefined)
+    nothing = ir.Constant(value.type, ir.Undefined)
     while width > 1:
         width //= 2
         order = ir.Constant(ir.VectorType(index, WIDTH), [
@@ -566,15 +570,16 @@ def _typeof(function, _):
     return types.Dispatcher(_compiler_of(function))
 
 
-def _type_of(argument, kind):
+def _type_of(argument, kind, lanes):
     if isinstance(argument, Constants):
-        number = {'floats': types.float64, 'shared': SHARED, 'lanes': LANES}[argument.form]
+        number = {'floats': types.float64, 'shared': Shared(lanes.width), 'lanes': lanes}[
+            argument.form]
         block = Block(kind, Constant(argument.duals) if argument.duals else number)
         return Blocks(block) if argument.form == 'lanes' else block
     if isinstance(argument, Array):
-        number = LANES if argument.lanes else types.int64 if argument.whole else types.float64
-        return View(number, argument.dims)
-    return {int: types.int64, float: types.float64}[argument]
+        number = lanes if argument.lanes else types.int64 if argument.whole else types.float64
+        return View(number, argument.dims, lanes.stride if argument.lanes else 1)
+    return {int: types.int64, float: types.float64, Thread: types.int64}[argument]
 
 
 @global_compiler_lock
@@ -584,16 +589,16 @@ def emit(entry: Any, kinds: tuple[type, ...]) -> bytes:
 
     `kinds` are those of its constants, in the order of arguments.
     """
-    rest = list(kinds)
+    rest, lanes = list(kinds), THREAD if entry.threads else LANES
     arguments = tuple(
-        _type_of(argument, rest.pop(0) if isinstance(argument, Constants) else None)
+        _type_of(argument, rest.pop(0) if isinstance(argument, Constants) else None, lanes)
         for argument in entry.arguments.values())
     compiler = _compiler_of(entry)
     compiler.compile(arguments)
     result = compiler.overloads[arguments]
     library = result.library.codegen.create_library(entry.name)
     library.add_linking_library(result.library)
-    library.add_ir_module(_entry_module(result, library))
+    library.add_ir_module(_entry_module(result, library, entry.threads))
     library.finalize()
     # LLVM must not turn loops into calls of the C library.
     module = llvm.parse_assembly(re.sub(
@@ -613,8 +618,12 @@ def emit(entry: Any, kinds: tuple[type, ...]) -> bytes:
     return module.as_bitcode()
 
 
-def _entry_module(result, library):
-    """Return a module with a function `entry` of plain C that calls a compiled function."""
+def _entry_module(result, library, threads):
+    """
+    Return a module with a function `entry` of plain C that calls a compiled function.
+
+    With threads, its last argument is the number of one, whose lane arrays of lanes begin at.
+    """
     context, sig = result.target_context, result.signature
     module = context.create_module('entry')
     natives = [context.get_value_type(kind) for kind in sig.args]
@@ -623,7 +632,15 @@ def _entry_module(result, library):
     called = cgutils.get_or_insert_function(
         module, context.call_conv.get_function_type(sig.return_type, sig.args),
         result.fndesc.llvm_func_name)
+    given = list(function.args)
+    if threads:
+        lane = builder.srem(given[-1], ir.Constant(_WORD, WARP))
+        given = [builder.bitcast(builder.gep(
+            builder.bitcast(each, ir.DoubleType().as_pointer()), [lane], inbounds=True), each.type)
+            if isinstance(kind, Blocks) or getattr(kind, 'stride', 1) > 1 else each
+            for kind, each in zip(sig.args, given)]
+        given[-1] = builder.sdiv(given[-1], ir.Constant(_WORD, WARP))
     _, value = context.call_conv.call_function(
-        builder, called, sig.return_type, sig.args, function.args)
+        builder, called, sig.return_type, sig.args, given)
     builder.ret(ir.Constant(_WORD, 0) if sig.return_type == types.none else value)
     return module

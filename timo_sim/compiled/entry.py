@@ -13,7 +13,7 @@ import numpy as np
 
 from timo_sim.compiled import machine
 from timo_sim.compiled.constants import Packed
-from timo_sim.compiled.functions import Constants, Function, WIDTH
+from timo_sim.compiled.functions import Constants, Function, Thread, WARP, WIDTH
 
 
 class EntryPoint(Function):
@@ -21,8 +21,8 @@ class EntryPoint(Function):
     A function that Python calls.
 
     `arguments` says what its arguments are, by name: `Constants` first, then `Array`, int or
-    float. It returns an int or nothing. `name` is that in its module, by default the function's;
-    for `fast` see `Function`.
+    float, or `Thread` at last. It returns an int or nothing. `name` is that in its module, by
+    default the function's; for `fast` see `Function`.
     """
 
     def __init__(self, function: Callable, arguments: dict[str, Any], name: str = '',
@@ -31,6 +31,7 @@ class EntryPoint(Function):
         self.arguments = arguments
         module = function.__module__.removeprefix('timo_sim.')
         self.name = f'{module}.{name or function.__name__}'
+        self.threads = Thread in arguments.values()
         self._arrays = [given for given in arguments.values() if not isinstance(given, Constants)]
         self._known: dict[Any, Any] = {}
 
@@ -54,8 +55,9 @@ class EntryPoint(Function):
     def _wanted(self, constants):
         """Return for each argument the function that returns what passes it; whether once."""
         sizes = {name: size for each in constants for name, size in each.sizes.items()}
+        lanes = WARP if self.threads else WIDTH
         return [(_NUMBERS[given], True) if given in _NUMBERS else (partial(
-            _place, tuple(sizes.get(dim, dim) for dim in given.dims) + given.lanes * (WIDTH,),
+            _place, tuple(sizes.get(dim, dim) for dim in given.dims) + given.lanes * (lanes,),
             np.dtype(np.int64 if given.whole else float)), given.own) for given in self._arrays]
 
     def __reduce__(self):
@@ -76,7 +78,8 @@ _Place = ctypes.c_char * 0
 _Code = ctypes.CFUNCTYPE(ctypes.c_int64)  # arguments are ctypes objects, so that none is converted
 # It has sizes in global variables: it keeps the lock of Python, so that threads take turns.
 _CodeForAnySize = ctypes.PYFUNCTYPE(ctypes.c_int64)
-_NUMBERS: dict[Any, Any] = {int: ctypes.c_int64, float: ctypes.c_double}
+_NUMBERS: dict[Any, Any] = {
+    int: ctypes.c_int64, float: ctypes.c_double, Thread: ctypes.c_int64}
 _SHORT = 2**16  # longest array that a Call keeps in memory [B]
 _NONE = object()  # is no argument
 

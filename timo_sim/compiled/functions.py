@@ -10,6 +10,7 @@ from typing import Any, NamedTuple
 import numpy as np
 
 WIDTH = 8  # number of floats in a vector, and of lanes
+WARP = 32  # number of lanes side by side in memory where each is a thread of a GPU
 
 
 class Function:
@@ -82,6 +83,14 @@ class Constants(NamedTuple):
 
     form: str = 'floats'
     duals: int = 0
+
+
+class Thread:
+    """
+    An argument of an entry point of lanes, the last: the number of a thread, which is a lane.
+
+    The function gets the number of its group of WARP lanes, and lanes of width 1.
+    """
 
 
 # Functions that compiled functions call; `emit` gives them their code. Here they are as Python

@@ -9,9 +9,11 @@ them: where it would need one it uses a function of `functions`. A value of type
 vector of WIDTH floats; an operation on it is one vector instruction, or a few where the
 processor's registers are narrower. No operation mixes lanes or changes the order of a sum, and
 what is fused is chosen here and not by the optimiser, so the bits of a lane depend on its own
-numbers only. A value of type SHARED is the same for all lanes: one float in memory.
+numbers only. A value of type Shared is the same for all lanes: one float in memory.
 
-In NumPy lanes are the last axis of an array, of length WIDTH.
+In NumPy lanes are the last axis of an array, of length WIDTH. On a GPU each is a thread: values
+are of type THREAD, of one lane, and the last axis is of length WARP, so that threads side by side
+read numbers that are side by side.
 """
 
 from collections.abc import Callable
@@ -25,9 +27,8 @@ from numba.core.typeconv import Conversion
 from numba.core.typing.templates import AbstractTemplate, infer_global, signature
 from numba.extending import lower_builtin, lower_cast
 
-from timo_sim.compiled.functions import WIDTH
+from timo_sim.compiled.functions import WARP, WIDTH
 
-VECTOR = ir.VectorType(ir.DoubleType(), WIDTH)
 # The sign of zero may change. Operations without flags would get numba's fast-math flags, which
 # allow reordering.
 _FLAGS = ('nsz',)
@@ -38,35 +39,45 @@ def is_number(kind: types.Type) -> bool:
     return isinstance(kind, (types.Float, types.Integer))
 
 
-class _Lanes(types.Type):
-    bitwidth = 64 * WIDTH
+class Lanes(types.Type):
+    """Numbers of as many runs as its width."""
 
-    def __init__(self):
-        super().__init__(f'Lanes({WIDTH})')
+    def __init__(self, width: int) -> None:
+        self.width, self.bitwidth = width, 64 * width
+        self.vector = ir.VectorType(ir.DoubleType(), width)
+        # How far apart the vectors of a field or array are in memory.
+        self.stride = 1 if width == WIDTH else WARP // width
+        super().__init__(f'Lanes({width})')
 
     def unify(self, context, other):
-        return LANES if is_number(other) or other == SHARED else None
+        return self if is_number(other) or other == Shared(self.width) else None
 
     def can_convert_from(self, context, other):
         return Conversion.safe if is_number(other) else None
 
 
-class _Shared(types.Type):
+class Shared(types.Type):
+    """A number that is the same in lanes of a width."""
+
     bitwidth = 64
 
-    def __init__(self):
-        super().__init__(f'Shared({WIDTH})')
+    def __init__(self, width: int) -> None:
+        self.width, self.vector = width, ir.VectorType(ir.DoubleType(), width)
+        super().__init__(f'Shared({width})')
 
     def unify(self, context, other):
-        return LANES if is_number(other) or other == LANES else None
+        return Lanes(self.width) if is_number(other) or other == Lanes(self.width) else None
 
     def can_convert_to(self, context, other):
-        return Conversion.safe if other == LANES else None
+        return Conversion.safe if other == Lanes(self.width) else None
 
 
-class _Mask(types.Type):
-    def __init__(self):
-        super().__init__(f'Mask({WIDTH})')
+class Mask(types.Type):
+    """Conditions of lanes of a width."""
+
+    def __init__(self, width: int) -> None:
+        self.width = width
+        super().__init__(f'Mask({width})')
 
     # While types are inferred, a sum may be a float before it becomes one of lanes.
     def unify(self, context, other):
@@ -76,7 +87,13 @@ class _Mask(types.Type):
         return Conversion.safe if other == types.boolean else None
 
 
-LANES, SHARED, MASK = _Lanes(), _Shared(), _Mask()
+LANES, THREAD = Lanes(WIDTH), Lanes(1)
+
+
+def lanes_of(*given: types.Type) -> Lanes | None:
+    """Return the type of lanes among types of numbers and masks; None if there is none."""
+    return next((Lanes(kind.width) for kind in given if isinstance(
+        kind, (Lanes, Shared, Mask))), None)
 
 
 def represent(kind: type, type_of: Callable[[Any], ir.Type]) -> None:
@@ -88,9 +105,9 @@ def represent(kind: type, type_of: Callable[[Any], ir.Type]) -> None:
     register_default(kind)(Model)
 
 
-represent(_Lanes, lambda _: VECTOR)
-represent(_Shared, lambda _: VECTOR)
-represent(_Mask, lambda _: ir.VectorType(ir.IntType(1), WIDTH))
+represent(Lanes, lambda kind: kind.vector)
+represent(Shared, lambda kind: kind.vector)
+represent(Mask, lambda kind: ir.VectorType(ir.IntType(1), kind.width))
 
 
 def infer(function: Any) -> Callable[[Callable[..., Any]], None]:
@@ -101,7 +118,7 @@ def infer(function: Any) -> Callable[[Callable[..., Any]], None]:
     return register
 
 
-def spread(builder: ir.IRBuilder, value: ir.Value, vector: ir.VectorType = VECTOR) -> ir.Value:
+def spread(builder: ir.IRBuilder, value: ir.Value, vector: ir.VectorType) -> ir.Value:
     """Return a vector with the same float in all places."""
     nothing, index = ir.Constant(vector, ir.Undefined), ir.IntType(32)
     single = builder.insert_element(nothing, value, ir.Constant(index, 0))
@@ -109,13 +126,13 @@ def spread(builder: ir.IRBuilder, value: ir.Value, vector: ir.VectorType = VECTO
         ir.VectorType(index, vector.count), vector.count * [0]))
 
 
-@lower_cast(types.Float, LANES)
-@lower_cast(types.Integer, LANES)
-def _lanes_of_number(context, builder, source, _, value):
-    return spread(builder, context.cast(builder, value, source, types.float64))
+@lower_cast(types.Float, Lanes)
+@lower_cast(types.Integer, Lanes)
+def _lanes_of_number(context, builder, source, lanes, value):
+    return spread(builder, context.cast(builder, value, source, types.float64), lanes.vector)
 
 
-@lower_cast(SHARED, LANES)
+@lower_cast(Shared, Lanes)
 def _lanes_of_shared(context, builder, source, _, value):
     return value
 
@@ -123,9 +140,11 @@ def _lanes_of_shared(context, builder, source, _, value):
 def _define(operators, kinds, result, generate):
     """Define operators of lanes or masks; `generate` takes an IRBuilder and the operands."""
     def signature_for(*given):
-        ours = any(kind in (LANES, SHARED, MASK) for kind in given)
-        return signature(result, *kinds) if ours and len(given) == len(kinds) and all(
-            kind == wanted or wanted == LANES and (kind == SHARED or is_number(kind))
+        lanes = lanes_of(*given)
+        return signature(*(kind(lanes.width) for kind in (result, *kinds))) if (
+            lanes and len(given) == len(kinds)) and all(
+            isinstance(kind, wanted) or wanted is Lanes and (
+                isinstance(kind, Shared) or is_number(kind))
             for kind, wanted in zip(given, kinds)) else None
 
     for each in operators:
@@ -175,17 +194,17 @@ def _define_arithmetic():
     for name, generate in (
             ('add', add), ('sub', subtract), ('mul', multiply),
             ('truediv', lambda builder, a, b: builder.fdiv(a, b, flags=_FLAGS))):
-        _define((getattr(operator, name), getattr(operator, f'i{name}')), (LANES, LANES), LANES,
+        _define((getattr(operator, name), getattr(operator, f'i{name}')), (Lanes, Lanes), Lanes,
                 generate)
     for compare, sign in ((operator.eq, '=='), (operator.lt, '<'), (operator.le, '<='),
                           (operator.gt, '>'), (operator.ge, '>=')):
-        _define((compare,), (LANES, LANES), MASK,
+        _define((compare,), (Lanes, Lanes), Mask,
                 lambda builder, a, b, sign=sign: builder.fcmp_ordered(sign, a, b))
-    _define((operator.ne,), (LANES, LANES), MASK,
+    _define((operator.ne,), (Lanes, Lanes), Mask,
             lambda builder, a, b: builder.fcmp_unordered('!=', a, b))
-    _define((operator.neg,), (LANES,), LANES, lambda builder, a: builder.fneg(a))
+    _define((operator.neg,), (Lanes,), Lanes, lambda builder, a: builder.fneg(a))
     for both, instruction in ((operator.and_, 'and_'), (operator.or_, 'or_')):
-        _define((both,), (MASK, MASK), MASK,
+        _define((both,), (Mask, Mask), Mask,
                 lambda builder, a, b, instruction=instruction: getattr(builder, instruction)(a, b))
 
 

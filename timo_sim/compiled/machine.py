@@ -103,7 +103,11 @@ TARGETS = {'x86-64-v2': ('x86_64-unknown-linux-gnu', 'x86-64-v2'),
 
 
 def target_machine(name: str, reloc: str = 'pic', codemodel: str = 'default') -> Any:
-    """Return LLVM's target machine of 'host' or one of TARGETS, with options of llvmlite."""
+    """
+    Return LLVM's target machine of 'host', one of TARGETS or a GPU, with options of llvmlite.
+
+    A GPU is named by its compute capability, such as sm_90.
+    """
     _initialise()
     if name == 'host':
         triple, *options = (llvm.get_process_triple(), llvm.get_host_cpu_name(),
@@ -111,7 +115,7 @@ def target_machine(name: str, reloc: str = 'pic', codemodel: str = 'default') ->
     else:
         llvm.initialize_all_targets()
         llvm.initialize_all_asmprinters()
-        triple, *options = TARGETS[name]
+        triple, *options = TARGETS.get(name, ('nvptx64-nvidia-cuda', name))
     return llvm.Target.from_triple(triple).create_target_machine(
         **dict(zip(('cpu', 'features', 'abiname'), options)), opt=3, reloc=reloc,
         codemodel=codemodel)
@@ -122,24 +126,28 @@ def _loading_machine():
     return target_machine('host', reloc='static', codemodel='large')
 
 
-def specialise(code: bytes, symbols: dict[str, int], machine: Any, name: str) -> Any:
+def specialise(code: bytes, symbols: dict[str, int], machine: Any, name: str,
+               caller: str = '') -> Any:
     """
     Return a module of LLVM, optimised, whose one function has a name.
 
     It is made of `intermediate_code` with the values of `symbols_of`, for a target machine. Where
     all are None it is code for any size, which takes them in an array before other arguments.
+    `caller` is intermediate code, as text, of a function of that name that calls `entry`.
     """
     _initialise()
     module, any_size = llvm.parse_bitcode(code), None in symbols.values()
     module.link_in(llvm.parse_assembly(_taking(
         symbols, name, module.get_function(_ENTRY)) if any_size else ''.join(
-            f'@"{symbol}" = constant i64 {value}\n' for symbol, value in symbols.items())))
+            f'@"{symbol}" = constant i64 {value}\n' for symbol, value in symbols.items())
+        + caller))
     module.triple, module.data_layout = str(machine.triple), str(machine.target_data)
     for each in [*module.functions, *module.global_variables]:
         if not each.is_declaration:
             each.linkage = 'internal'
-    entry = module.get_function(name if any_size else _ENTRY)
-    entry.linkage, entry.name = 'external', name
+    if not (any_size or caller):
+        module.get_function(_ENTRY).name = name
+    module.get_function(name).linkage = 'external'
     _optimise(module, machine)
     return module
 
@@ -163,6 +171,50 @@ def module_for_target(entry: Any, constants: tuple[Any, ...], target: str, name:
             intermediate_code(entry, kinds), symbols, target_machine(target), name).as_bitcode())
     _initialise()
     return llvm.parse_bitcode(code)
+
+
+# A kernel: each of the first threads calls an entry point with its number.
+KERNEL = 'arms'
+_KERNEL = f"""
+declare i32 @llvm.nvvm.read.ptx.sreg.tid.x()
+declare i32 @llvm.nvvm.read.ptx.sreg.ntid.x()
+declare i32 @llvm.nvvm.read.ptx.sreg.ctaid.x()
+declare i64 @{_ENTRY}({{kinds}}, i64)
+define ptx_kernel void @{KERNEL}({{given}}, i64 %count) {{{{
+  %place = call i32 @llvm.nvvm.read.ptx.sreg.tid.x()
+  %length = call i32 @llvm.nvvm.read.ptx.sreg.ntid.x()
+  %block = call i32 @llvm.nvvm.read.ptx.sreg.ctaid.x()
+  %begin = mul i32 %block, %length
+  %number = add i32 %begin, %place
+  %thread = zext i32 %number to i64
+  %needed = icmp slt i64 %thread, %count
+  br i1 %needed, label %call, label %end
+call:
+  %result = call i64 @{_ENTRY}({{given}}, i64 %thread)
+  br label %end
+end:
+  ret void
+}}}}
+"""
+
+
+def ptx(entry: Any, constants: tuple[Any, ...], processor: str) -> bytes:
+    """
+    Return a kernel for GPUs, such as sm_90 or newer, as PTX, the text that their driver compiles.
+
+    `entry` is one of threads, for some constants' sizes. The kernel, KERNEL, takes pointers for
+    its arguments but the last, and then the number of threads.
+    """
+    kinds, symbols = tuple(each.kind for each in constants), symbols_of(constants)
+    pointers = range(len(entry.arguments) - 1)
+    kernel = _KERNEL.format(kinds=', '.join('ptr' for _ in pointers),
+                            given=', '.join(f'ptr %a{k}' for k in pointers))
+
+    def make():
+        machine = target_machine(processor)
+        return machine.emit_assembly(specialise(
+            intermediate_code(entry, kinds), symbols, machine, KERNEL, kernel)).encode()
+    return store.read_or_make(f'{_digest(entry, kinds, symbols, processor)}.ptx', make)
 
 
 def _digest(entry, kinds, symbols, target):

@@ -12,54 +12,63 @@ from typing import Any
 
 import numpy as np
 
-from timo_sim.compiled.functions import WIDTH
 from timo_sim.model.layout import (
     AFTER, INPUTS, LOADS, Motion, rotate, START, STEP_LOADS, TORQUE, VOLTAGE)
 from timo_sim.scene.bodies import motor_constants
 from timo_sim.scene.loads import CHANNELS, Load
 from timo_sim.scene.parameters import numbers, Parameter, ParameterError, steps_in
 from timo_sim.scene.scene import load_scene, Scene, scene_from, SceneLike
+from timo_sim.simulation.cuda import Cuda
 from timo_sim.simulation.loads import (
-    Actuators, commanded_load, limits_of, tip_of, TipLoad, whole_load)
+    Actuators, ARGUMENTS, check_arguments, commanded_load, limits_of, tip_of, TipLoad, whole_load)
 from timo_sim.simulation.simulator import COUNT, MOST_BENT, SAMPLE_EVERY, Stateful
 from timo_sim.simulation.warnings import divergence, unseen_load
 from timo_sim.steps.bristles import HEAT, MEMORY, memory_at, swing_of
 from timo_sim.steps.lanes import from_lanes, LaneSteps, to_lanes
 from timo_sim.steps.steps import CHUNK, NO_LOADS
+from timo_sim.steps.threads import ThreadSteps
 
 
 class LaneLoads:
-    """Loads of n scenes with the same time step."""
+    """
+    Loads of n scenes with the same time step, for their lanes.
 
-    def __init__(self, scenes: list[Scene]) -> None:
-        self._step, self._scenes = scenes[0].step, scenes
+    `kinds` are the different scenes, and `which`, (n,), says which of them each is.
+    """
+
+    def __init__(self, kinds: list[Scene], which: np.ndarray, lanes: LaneSteps) -> None:
+        self._step, self._kinds, self._which, self._lanes = kinds[0].step, kinds, which, lanes
         # What varies by itself, the drive or the terms of a channel: its columns, all different
         # loads, and which of them each lane has. Lanes share what does not differ among them.
         self._parts = []
         for name in ('drive', *CHANNELS):
             own = [scene.load.drive if name == 'drive' else scene.load.terms.get(name, ())
-                   for scene in scenes]
-            kinds = own if name == 'drive' else [id(terms) for terms in own]
+                   for scene in kinds]
+            keys = own if name == 'drive' else [id(terms) for terms in own]
             loads = [Load({}, each) if name == 'drive' else Load({name: each})
-                     for each in dict(zip(kinds, own)).values()]
+                     for each in dict(zip(keys, own)).values()]
             columns = sorted({column for load in loads for column in load.columns})
             if columns:
-                place = {kind: k for k, kind in enumerate(dict.fromkeys(kinds))}
-                self._parts.append((columns, loads, np.array([place[kind] for kind in kinds])))
-        limits = np.array([limits_of(scene.values) for scene in scenes])
-        self._limit, slow = limits[:, 0], np.isfinite(limits[:, 1])
-        self._gain = np.array([motor_constants(scene.values)[0] for scene in scenes])
-        self._slow: dict[int, Any] = dict.fromkeys(np.flatnonzero(slow.any(axis=1)).tolist())
+                place = {key: k for k, key in enumerate(dict.fromkeys(keys))}
+                self._parts.append((columns, loads, np.array([place[key] for key in keys])[which]))
+        limits = np.array([limits_of(scene.values) for scene in kinds])
+        slow = np.isfinite(limits[:, 1])
+        gain = np.array([motor_constants(scene.values)[0] for scene in kinds])
+        rows = which if len(kinds) > 1 else [0]  # one for all
+        self._limit, self._gain, self._held = map(lanes.xp.asarray, (
+            limits[rows, 0], gain[rows], slow[rows]))
+        self._slow: dict[int, Any] = dict.fromkeys(
+            np.flatnonzero(slow.any(axis=1)[which]).tolist())
         varying = (columns for columns, _, _ in self._parts)
         self.columns = np.array(sorted({*np.flatnonzero(slow.any(axis=0)).tolist()}.union(
             *varying)), dtype=np.int64)
         self._room = NO_LOADS
-        self.reset(range(len(scenes)), 0)
+        self.reset(range(len(which)), 0)
 
     def reset(self, lanes: Iterable[int], first: int) -> None:
         """Let no command act in some lanes from step `first` on."""
-        for lane in self._slow.keys() & set(lanes):
-            self._slow[lane] = Actuators(self._scenes[lane].values, first)
+        for lane in self._slow.keys() & set(lanes if self._slow else ()):
+            self._slow[lane] = Actuators(self._kinds[self._which[lane]].values, first)
 
     def command(self, commanded: np.ndarray) -> np.ndarray:
         """
@@ -67,11 +76,11 @@ class LaneLoads:
 
         Return what acts of them and does not vary with time, of the same shape.
         """
-        acting = np.clip(commanded, -self._limit, self._limit)
+        acting = self._lanes.xp.clip(commanded, -self._limit, self._limit)
         acting[:, TORQUE] += self._gain * acting[:, VOLTAGE]
-        self._commanded = commanded
-        for lane, actuators in self._slow.items():
-            acting[lane, actuators.slow] = 0.0
+        if self._slow:
+            self._commanded = self._lanes.host(commanded)
+            acting = self._lanes.xp.where(self._held, 0.0, acting)
         return acting
 
     def varying(self, first: int, count: int, origin: np.ndarray) -> np.ndarray:
@@ -81,8 +90,8 @@ class LaneLoads:
         `origin`, shape (n,), is the number of the step at which the scene's own loads begin, in
         each lane. The shape is (groups, 1 + count, 4, len(columns), WIDTH).
         """
-        groups = -(-len(origin) // WIDTH)
-        found = np.zeros((groups, 1 + count, STEP_LOADS, len(self.columns), WIDTH))
+        groups, width = self._lanes.groups, self._lanes.width
+        found = np.zeros((groups, 1 + count, STEP_LOADS, len(self.columns), width))
         for columns, loads, which in self._parts:
             # Lanes with equal loads that began at the same step; complex numbers are sorted fast.
             kinds, kind = np.unique(which + 1j * (first - origin), return_inverse=True)
@@ -97,12 +106,12 @@ class LaneLoads:
                     rows[0, AFTER] = after[START]
             at = np.searchsorted(self.columns, columns[0])
             found[..., at:at + len(columns), :] = (
-                to_lanes(own, kind) if len(kinds) > 1 else own[0, ..., np.newaxis])
+                to_lanes(own, kind, width) if len(kinds) > 1 else own[0, ..., np.newaxis])
         for lane, actuators in self._slow.items():
-            acting, rows = np.zeros((count, STEP_LOADS, LOADS)), found[lane // WIDTH, 1:]
+            acting, rows = np.zeros((count, STEP_LOADS, LOADS)), found[lane // width, 1:]
             actuators.add(self._commanded[lane], first, acting)
             among = np.isin(self.columns, actuators.slow)
-            rows[..., among, lane % WIDTH] += acting[..., actuators.slow]
+            rows[..., among, lane % width] += acting[..., actuators.slow]
         return found
 
     def _own(self, load, columns, first, count):
@@ -113,6 +122,8 @@ class LaneLoads:
 
 
 MOST_ARMS = 10**7  # of a Batch
+_DEVICE = Parameter('device', 'cpu', '', 'what steps', choices=('cpu', 'cuda'))
+DEVICES = {'cuda': Cuda}
 _COUNT = Parameter('n', 1, '', 'number of manipulators', low=1, high=MOST_ARMS)
 _MAX_NUMBERS = 2**22  # most numbers that the loads of a call to compiled code take
 
@@ -135,6 +146,9 @@ class Batch(Stateful):
     scenes : list of Scene, or a Scene, or what `load_scene` takes
     n : int, optional
         Number of manipulators, if one scene is given.
+    device : str, optional
+        'cpu'; or 'cuda', an NVIDIA GPU, with the extra `cuda`: each manipulator is a thread there,
+        with the same results as on a CPU that fuses products and sums.
 
     Attributes
     ----------
@@ -147,7 +161,11 @@ class Batch(Stateful):
     Raises
     ------
     ParameterError
-        If the scenes differ in size, or have a `model.accuracy`.
+        If the scenes differ in size, or have a `model.accuracy`; or there is no GPU for them, they
+        do not fit into its memory, or have what it does not know: `payload.time`, or a carrier
+        held along one axis with a shaft that turns.
+    MissingPackage
+        If a GPU is asked for without the extra.
 
     Examples
     --------
@@ -159,7 +177,9 @@ class Batch(Stateful):
 
     """
 
-    def __init__(self, scenes: SceneLike | Sequence[Scene], n: int | None = None) -> None:
+    def __init__(self, scenes: SceneLike | Sequence[Scene], n: int | None = None,
+                 device: str = 'cpu') -> None:
+        self._device: Any = None if device == 'cpu' else DEVICES[_DEVICE.check(device)]()
         if isinstance(scenes, Sequence) and not isinstance(scenes, str):
             self.scenes = [load_scene(scene) for scene in scenes]
             if n not in (None, len(scenes)):
@@ -170,21 +190,25 @@ class Batch(Stateful):
             raise ParameterError('scenes must have at least one element, got none')
         self.n = len(self.scenes)
         self.scenes = _with_equal_shapes(self.scenes)
-        _check(self.scenes)
-        self._models = [scene.build() for scene in self.scenes]
-        self._straight = np.array([[model.tip_point.lever[0], 0.0] for model in self._models])
-        self._initial = np.array([scene.initial_motion() for scene in self.scenes])
-        self._bristles = np.array([scene.bristles for scene in self.scenes])
-        self._swing = np.array([swing_of(*each) for each in zip(self._models, self._bristles)])
+        _check(self.scenes, device)
+        kinds = list({id(scene): scene for scene in self.scenes}.values())
+        places = {id(scene): k for k, scene in enumerate(kinds)}
+        which = np.array([places[id(scene)] for scene in self.scenes])
+        models = [scene.build() for scene in kinds]
+        self._models = [models[k] for k in which]
+        self._straight, self._initial, self._bristles, self._swing = (
+            np.array(each)[which] for each in zip(*(
+                ([model.tip_point.lever[0], 0.0], scene.initial_motion(), scene.bristles,
+                 swing_of(model, scene.bristles)) for scene, model in zip(kinds, models))))
         self._at_start = self._start_of(self._initial, np.ones(self.n, dtype=bool))
-        self._needed = {each.needs: np.array([scene.values[each.needs] for scene in self.scenes])
+        self._needed = {each.needs: np.array([scene.values[each.needs] for scene in kinds])[which]
                         for each in INPUTS if each.needs}
-        self._loads = LaneLoads(self.scenes)
         # Of manipulators whose load at the tip changes.
         self._tips = {k: TipLoad(tip_of(scene)) for k, scene in enumerate(self.scenes)
                       if scene.payloads}
-        self._lanes = LaneSteps(self._models, self.scenes[0].step, MOST_BENT, self._bristles,
-                                alike=not self._tips)
+        given = self._models, kinds[0].step, MOST_BENT, self._bristles, not self._tips
+        self._lanes = ThreadSteps(self._device, *given) if self._device else LaneSteps(*given)
+        self._loads = LaneLoads(kinds, which, self._lanes)
         self.steps, self._origin = 0, np.zeros(self.n, dtype=int)
         self.reset()
 
@@ -194,35 +218,49 @@ class Batch(Stateful):
     @property
     def t(self) -> np.ndarray:
         """Sim time of each since its start or reset, shape (n,) [s]; of one that failed, until."""
-        return from_lanes(self._lanes.progress, self.n)[:, 1] * self.scenes[0].step
+        return self._rows('progress')[:, 1] * self.scenes[0].step
 
     @property
     def failed(self) -> np.ndarray:
         """Which have diverged, shape (n,); they stay at their last good state until a reset."""
-        return from_lanes(self._lanes.progress, self.n)[:, 0] == 0.0
+        return self._rows('progress')[:, 0] == 0.0
 
     @property
     def motion(self) -> Motion:
         """The motions now, whose parts have the shapes (n, ...), see `Motion`."""
-        return Motion(from_lanes(self._lanes.motion, self.n))
+        return Motion(self._rows('motion'))
+
+    def _rows(self, field):
+        return self._lanes.host(from_lanes(getattr(self._lanes, field), self.n))
+
+    def on_device(self) -> dict[str, Any]:
+        """
+        Return arrays in the memory of the device, which DLPack hands on without a copy, by name.
+
+        They are the `values` of `motion`, (n, 2 (3 + N)), `tip`, (n, 3), its place along and
+        across the shaft [m] and its rotation [rad], and `failed`, (n,).
+        """
+        return {'motion': from_lanes(self._lanes.motion, self.n),
+                'tip': from_lanes(self._lanes.tip, self.n),
+                'failed': from_lanes(self._lanes.progress, self.n)[:, 0] == 0.0}
 
     def position(self) -> np.ndarray:
         """Return positions of the tips in world axes, shape (n, 2) [m]."""
-        motion, tip = self.motion, from_lanes(self._lanes.tip, self.n)
+        motion, tip = self.motion, self._rows('tip')
         return motion.carrier + np.column_stack(rotate(motion.shaft, *tip[:, :2].T))
 
     def deflection(self) -> np.ndarray:
         """Return axial and transverse deflection of the tips in the arm frame, (n, 2) [m]."""
-        return from_lanes(self._lanes.tip, self.n)[:, :2] - self._straight
+        return self._rows('tip')[:, :2] - self._straight
 
     def rotation(self) -> np.ndarray:
         """Return rotations of the tips relative to the shaft, shape (n,) [rad]."""
-        return from_lanes(self._lanes.tip, self.n)[:, 2]
+        return self._rows('tip')[:, 2]
 
     @property
     def friction_heat(self) -> np.ndarray:
         """Energy that dry friction has taken, as in `Run.friction_heat`, shape (n,) [J]."""
-        return from_lanes(self._lanes.memory, self.n)[:, HEAT]
+        return self._rows('memory')[:, HEAT]
 
     def reason(self, number: int) -> str:
         """Return why a manipulator has failed, as the text of a DivergenceError, or ''."""
@@ -240,7 +278,8 @@ class Batch(Stateful):
         `mask`, of bool, shape (n,), says which; `motion`, shape (2 (3 + N),) or (n, 2 (3 + N)), is
         where to start instead. Raises ParameterError for other shapes.
         """
-        chosen = np.ones(self.n, dtype=bool) if mask is None else np.asarray(mask)
+        chosen = np.ones(self.n, dtype=bool) if mask is None else np.asarray(
+            self._lanes.host(mask))
         if chosen.shape != (self.n,) or chosen.dtype != bool:
             raise ParameterError(f'mask must be {self.n} times true or false, got an array of '
                                  f'{chosen.dtype} of shape {chosen.shape}')
@@ -253,14 +292,14 @@ class Batch(Stateful):
                 self._set_model(number, self.scenes[number].build())
         states, memory = self._at_start if motion is None else self._start_of(motions, chosen)
         for field, new in ((lanes.state, states), (lanes.motion, motions), (lanes.memory, memory),
-                           (lanes.progress, np.array([[1.0, 0.0]] * self.n))):
+                           (lanes.progress, np.tile([1.0, 0.0], (self.n, 1)))):
             rows = from_lanes(field, self.n)
-            rows[chosen] = new[chosen]
-            field[:] = to_lanes(rows)
+            rows[np.flatnonzero(chosen)] = lanes.xp.asarray(new[chosen])
+            field[:] = to_lanes(rows, width=lanes.width)
         # No step: the tips of the states are set; so are the motions, but without loads.
         motion_lanes = lanes.motion.copy()
         lanes.advance(np.empty(0, dtype=np.int64),
-                      np.empty((lanes.groups, 1, STEP_LOADS, 0, WIDTH)))
+                      np.empty((lanes.groups, 1, STEP_LOADS, 0, lanes.width)))
         lanes.motion[:] = motion_lanes
         self._origin[chosen] = self.steps
         self._loads.reset(np.flatnonzero(chosen), self.steps)
@@ -284,12 +323,30 @@ class Batch(Stateful):
         """
         Advance under constant commands as `Simulator.step` does, with its ParameterErrors.
 
-        Commands are for all or for each: float or array_like, shape (n,), (2,) or (n, 2). Returns
-        the Motion at the end.
+        Commands are for all or for each: float or array_like, shape (n,), (2,) or (n, 2); or
+        arrays of the device that DLPack takes, for each. Returns the Motion at the end.
         """
-        commanded = commanded_load(self._needed, (self.n,), **commands)
+        commanded = commanded_load(self._needed, (self.n,), **commands) if (
+            self._device is None) else self._on_device(commands)
         self.advance(1 if duration is None else steps_in(duration, self.scenes[0].step), commanded)
         return self.motion
+
+    def _on_device(self, commands):
+        """Return commands as loads on the device, (n, LOADS)."""
+        load = self._lanes.xp.zeros((self.n, LOADS))
+        check_arguments(commands, 'step')
+        for name, given in commands.items():
+            columns = ARGUMENTS[name]
+            if self._device.owns(given):
+                given = self._device.array(name, given, (self.n, *np.shape(columns)))
+                for each in (INPUTS[column] for column in np.ravel(columns)):
+                    if each.needs and not self._needed[each.needs].all():
+                        raise ParameterError(f'{name} needs {each.needs} > 0 in all scenes, got 0')
+            else:
+                given = self._lanes.xp.asarray(commanded_load(
+                    self._needed, (self.n,), **{name: given})[:, columns])
+            load[:, columns] = given
+        return load
 
     def advance(self, count: int, commanded: np.ndarray | None = None,
                 sample_every: int = 0) -> np.ndarray:
@@ -301,23 +358,26 @@ class Batch(Stateful):
         """
         if not type(count) is type(sample_every) is int or (count | sample_every) >> 53:
             count, sample_every = COUNT.check(count), SAMPLE_EVERY.check(sample_every)
-        if commanded is not None:
+        if self._device and self._device.owns(commanded):
+            commanded = self._device.array('commanded', commanded, (self.n, LOADS))
+        elif commanded is not None:
             commanded = whole_load(commanded, (self.n, LOADS), (LOADS,))
         with self._lock:
-            return from_lanes(self._advance(count, commanded, sample_every)[0], self.n)
+            return self._lanes.host(from_lanes(
+                self._advance(count, commanded, sample_every)[0], self.n))
 
     def advance_tips(self, count: int) -> np.ndarray:
         """Advance by `count` > 0 steps; return the tip after each, (n, count, 3), as `tip`."""
         count = replace(COUNT, low=1).check(count)
         with self._lock:
             tips = self._advance(count, None, 0, with_tips=True)[1]
-            return from_lanes(np.concatenate(tips, axis=1), self.n)
+            return self._lanes.host(from_lanes(np.concatenate(tips, axis=1), self.n))
 
     def _advance(self, count, commanded, sample_every, with_tips=False):
         lanes, loads = self._lanes, self._loads
-        commanded = np.broadcast_to(0.0 if commanded is None else commanded, (self.n, LOADS))
-        acting = loads.command(commanded)
-        lanes.constant_load[:] = to_lanes(acting)
+        commanded = lanes.xp.asarray(0.0 if commanded is None else commanded)
+        acting = loads.command(lanes.xp.broadcast_to(commanded, (self.n, LOADS)))
+        lanes.constant_load[:] = to_lanes(acting, width=lanes.width)
         samples = lanes.room(1 + count // sample_every if sample_every else 0,
                              lanes.motion.shape[1])
         most = max(1, min(CHUNK, _MAX_NUMBERS // (4 * self.n * max(1, len(loads.columns)))))
@@ -346,7 +406,8 @@ class Batch(Stateful):
         # Make the changes of loads at tips that are due; return the step of the next one.
         lanes, following = self._lanes, math.inf
         for number, tip in self._tips.items():
-            scene, place = self.scenes[number], (number // WIDTH, slice(None), number % WIDTH)
+            scene, (group, lane) = self.scenes[number], divmod(number, lanes.width)
+            place = group, slice(None), lane
             while (tip.changes < len(scene.payloads) and self._origin[number]
                    + scene.payloads[tip.changes][0] <= now and not self.failed[number]):
                 _, *load = scene.payloads[tip.changes]
@@ -377,15 +438,16 @@ def _with_equal_shapes(scenes):
     return [made[id(scene)] for scene in scenes]
 
 
-def _check(scenes):
+def _check(scenes, device):
     """Raise ParameterError for scenes that a batch cannot do."""
     wanted = lane_size(scenes[0])
     for number, scene in enumerate(scenes):
         if scene is scenes[0] and number:
             continue
-        refused = refusal(scene)
+        refused = refusal(scene, device)
         if refused:
-            raise ParameterError(f'{refused} is not possible in a Batch')
+            raise ParameterError(f'{refused} is not possible in a Batch'
+                                 + f" with device = '{device}'" * (device != 'cpu'))
         for name, value in lane_size(scene).items():
             if value != wanted[name]:
                 raise ParameterError(f'{name} must be the same in all scenes of a Batch, got '
@@ -405,9 +467,13 @@ def lane_size(scene: Scene) -> dict[str, Any]:
         'the number of nodes': len(scene.build().quadrature.nodes)}
 
 
-def refusal(scene: Scene) -> str:
-    """Return the first parameter that lanes do not know, as text, or ''."""
+def refusal(scene: Scene, device: str = 'cpu') -> str:
+    """Return the first parameter that lanes of a device do not know, as text, or ''."""
     values = scene.values
     if values['model.accuracy']:
         return f'model.accuracy = {values["model.accuracy"]}'
+    if device != 'cpu' and scene.payloads:
+        return f'payload.time = {values["payload.time"]}'
+    if device != 'cpu' and scene.build().sectors:
+        return f'carrier.held = {values["carrier.held"]}, for a shaft that turns,'
     return ''

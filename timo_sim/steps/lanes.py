@@ -8,7 +8,7 @@ The step is that of `etdrk4`, compiled for vectors of WIDTH floats. Lanes take n
 own: a lane that diverges is computed on and its result thrown away.
 """
 
-from functools import cached_property
+from functools import cached_property, partial
 from typing import Annotated, Any, NamedTuple
 
 import numpy as np
@@ -62,39 +62,48 @@ class LaneSteps:
     its constants, so that none can be changed.
 
     `constant_load`, `state`, `memory`, `progress`, `motion` and `tip` are fields of `Lane`, arrays
-    of shape (groups, ..., WIDTH).
+    of shape (groups, ..., WIDTH). `xp` is the library of these arrays.
     """
+
+    width, xp = WIDTH, np
 
     def __init__(self, models: list[Formulation], step: float, bend_limit: float,
                  bristles: np.ndarray, alike: bool) -> None:
-        self.step, self._bristles = step, bristles
-        groups = -(-len(models) // WIDTH)
-        rows = np.minimum(np.arange(groups * WIDTH), len(models) - 1)
-        padded = [models[row] for row in rows]
-        lanes, size, self._models = len(padded), models[0].size, padded
-        self._sectors: Any = np.full(lanes, -1) if models[0].sectors else None
+        self.step, self._bristles, self.groups = step, bristles, -(-len(models) // self.width)
+        self._models = self._padded(models)
+        self._sectors: Any = np.full(len(self._models), -1) if models[0].sectors else None
         self._parts: dict[tuple[Formulation, int | None], Any] = {}
-        if alike and not models[0].sectors and all(model is models[0] for model in models):
-            entry, tables = advance_alike, models[0].pack(models[0].tables, pad=False)
+        self._alike = alike and not models[0].sectors and all(
+            model is models[0] for model in models)
+        self._constants = self._pack(self._models, bend_limit, self._padded(bristles))
+        self._name_fields()
+
+    def _padded(self, rows):
+        # As many as lanes; the last one fills the rest.
+        return [rows[min(lane, len(rows) - 1)]
+                for lane in range(-(-len(rows) // self.width) * self.width)]
+
+    def _pack(self, models, bend_limit, bristles):
+        lanes, size, step = len(models), models[0].size, self.step
+        pack_all = partial(pack_lanes, lanes=self.width)
+        if self._alike:
+            tables = models[0].pack(models[0].tables, pad=False)
             matrices = pack(matrices_of(models[0].linear, step), pad=False)
         else:
-            fields, linear = ([model.tables for model in padded],
-                              np.array([model.linear for model in padded]))
-            entry, tables = advance_each, pack_lanes(
-                fields[0]._make(np.array(each) for each in zip(*fields)), motion=size,
-                state=linear.shape[-1])
-            matrices = pack_lanes(matrices_of(linear, step))
-        lane = pack_lanes(Lane(
-            tip_travel=np.array([model.tip_travel[3:] for model in padded]),
-            bend_limit=np.array([[bend_limit * model.manipulator.arm.length] for model in padded]),
+            fields, linear = ([model.tables for model in models],
+                              np.array([model.linear for model in models]))
+            tables = pack_all(fields[0]._make(np.array(each) for each in zip(*fields)),
+                              motion=size, state=linear.shape[-1])
+            matrices = pack_all(matrices_of(linear, step))
+        lane = pack_all(Lane(
+            tip_travel=np.array([model.tip_travel[3:] for model in models]),
+            bend_limit=np.array([[bend_limit * model.manipulator.arm.length] for model in models]),
             constant_load=np.zeros((lanes, LOADS)), load=np.zeros((lanes, STEP_LOADS, LOADS)),
             state=np.zeros((lanes, len(models[0].linear))), friction=np.zeros((lanes, MEMORY)),
             progress=np.tile([1.0, 0.0], (lanes, 1)), motion=np.zeros((lanes, size)),
             tip=np.zeros((lanes, 3))))
-        packed = pack_lanes(Bristles._make(bristles_of(padded, step, bristles[rows])))
-        self.groups, self._entry = groups, entry
-        self._constants = tables, matrices, packed, lane, pack(Plan(*7 * [0]))
-        self._name_fields()
+        packed = pack_all(Bristles._make(bristles_of(models, step, np.array(bristles))))
+        return tables, matrices, packed, lane, pack(Plan(*7 * [0]))
 
     def _name_fields(self):
         *_, lane, self._plan = self._constants
@@ -107,11 +116,15 @@ class LaneSteps:
 
     @cached_property
     def _advance(self):
-        return self._entry.of(*self._constants)
+        return (advance_alike if self._alike else advance_each).of(*self._constants)
+
+    def host(self, array: Any) -> np.ndarray:
+        """Return one of these arrays as one of NumPy."""
+        return array
 
     def room(self, number: int, length: int) -> np.ndarray:
         """Return an array for so many vectors of a length in each lane."""
-        return np.empty((self.groups, number, length, WIDTH))
+        return self.xp.empty((self.groups, number, length, self.width))
 
     def advance(self, columns: np.ndarray, varying: np.ndarray, sample_every: int = 0,
                 since: int = 0, samples: np.ndarray | None = None,
@@ -179,28 +192,32 @@ class LaneSteps:
             if view.dtype == float:  # whole numbers are those of all lanes
                 view[lanes // WIDTH, ..., lanes % WIDTH] = values
 
-    def _call(self, columns, varying, sample_every, since, samples, tips):
+    def _plan_call(self, columns, varying, sample_every, since, samples, tips):
         for view, number in zip(self._plan.views.values(), (
                 self.groups, len(columns), varying.shape[1] - 1, sample_every, since,
                 samples.shape[1], tips.shape[1])):
             view[...] = number
+
+    def _call(self, columns, varying, sample_every, since, samples, tips):
+        self._plan_call(columns, varying, sample_every, since, samples, tips)
         self._advance(columns, varying.reshape(-1, WIDTH),
                       samples.reshape(-1, *samples.shape[2:]), tips.reshape(-1, *tips.shape[2:]))
 
 
-def to_lanes(values: np.ndarray, rows: np.ndarray | None = None) -> np.ndarray:
+def to_lanes(values: np.ndarray, rows: np.ndarray | None = None,
+             width: int = WIDTH) -> np.ndarray:
     """
-    Transpose rows (n, ...) to lanes (groups, ..., WIDTH); the last row is repeated as padding.
+    Transpose rows (n, ...) to lanes (groups, ..., width); the last row is repeated as padding.
 
     `rows`, (n,), selects and orders them, by default all in order.
     """
-    rows = np.arange(len(values)) if rows is None else rows
-    count = -(-len(rows) // WIDTH)
-    rows = rows[np.minimum(np.arange(count * WIDTH), len(rows) - 1)]
-    if len(rows) != len(values) or np.any(rows != np.arange(len(rows))):
-        values = values[rows]
-    values = values.reshape(count, WIDTH, *values.shape[1:])
-    return np.ascontiguousarray(values.transpose(0, *range(2, values.ndim), 1))
+    count = -(-len(values if rows is None else rows) // width)
+    if rows is None and len(values) % width:
+        rows = np.arange(len(values))
+    if rows is not None:
+        values = values[rows[np.minimum(np.arange(count * width), len(rows) - 1)]]
+    values = values.reshape(count, width, *values.shape[1:])
+    return values.transpose(0, *range(2, values.ndim), 1).copy()
 
 
 def from_lanes(values: np.ndarray, count: int) -> np.ndarray:
@@ -208,7 +225,7 @@ def from_lanes(values: np.ndarray, count: int) -> np.ndarray:
     rows = values.transpose(0, -1, *range(1, values.ndim - 1))
     if len(rows) == 1:  # else `reshape` copies
         rows = rows.copy()
-    return rows.reshape(len(values) * WIDTH, *rows.shape[2:])[:count]
+    return rows.reshape(len(values) * values.shape[-1], *rows.shape[2:])[:count]
 
 
 @inner
@@ -276,6 +293,13 @@ def advance(tables, propagator, bristles, lane, plan, columns, varying, samples,
     for g in range(plan.groups):
         _advance(tables[g], propagator[g], bristles[g], lane[g], plan, columns, varying, samples,
                  tips, g)
+
+
+def advance_group(tables, propagator, bristles, lane, plan, columns, varying, samples, tips,
+                  group):
+    """Integrate one group of lanes, see `advance`."""
+    _advance(tables[group], propagator[group], bristles[group], lane[group], plan, columns,
+             varying, samples, tips, group)
 
 
 # For lanes with the same packed constants, and for lanes each with its own.

@@ -1,0 +1,175 @@
+# Copyright 2026 The timo_sim authors
+# SPDX-License-Identifier: Apache-2.0
+
+"""A Batch on a GPU does what it does on the CPU, to the last bit."""
+
+from copy import deepcopy
+import ctypes
+from pathlib import Path
+import re
+import shutil
+import subprocess
+import sys
+
+import numpy as np
+import pytest
+
+from test_batch import commands, scene_of, SCENES
+import timo_sim
+from timo_sim.compiled import machine
+from timo_sim.extras import MissingPackage
+from timo_sim.model.layout import LOADS
+from timo_sim.simulation import batch as batches
+from timo_sim.simulation.batch import Batch
+from timo_sim.simulation.cuda import Cuda
+from timo_sim.steps.threads import thread_alike, thread_each, ThreadSteps
+
+
+class Processor(Cuda):
+    """The device of tests without a GPU: the CPU calls the same kernel once for each thread."""
+
+    xp, free = np, 2**40
+
+    def __init__(self):
+        pass
+
+    def owns(self, given):
+        return hasattr(given, '__dlpack__')
+
+    def host(self, array):
+        return np.asarray(array)
+
+    def make_room(self, number):
+        if number > self.free:
+            raise timo_sim.ParameterError('n must fit')
+
+    def kernel(self, entry, constants):
+        code = ctypes.CFUNCTYPE(ctypes.c_int64)(machine.load(entry, constants))
+
+        def launch(count, *arrays):
+            assert all(each.flags.c_contiguous for each in arrays)
+            places = [ctypes.c_void_p(each.ctypes.data) for each in arrays]
+            for thread in range(count):
+                code(*places, ctypes.c_int64(thread))
+        return launch
+
+
+@pytest.fixture
+def processor(monkeypatch):
+    """Let batches find that device in place of a GPU."""
+    monkeypatch.setitem(batches.DEVICES, 'cuda', Processor)
+
+
+def compare(scenes, count, **options):
+    """Do the same with a batch of scenes on CPU and device; its bits must be the same."""
+    there, here = Batch(scenes, device='cuda', **options), Batch(scenes, **options)
+    random = np.random.default_rng(1)
+    for steps in (1, count):
+        commanded = commands(here.scenes[0], here.n, random)
+        assert (there.advance(steps, commanded, sample_every=3)
+                == here.advance(steps, commanded, sample_every=3)).all()
+        again = random.random(here.n) < 0.2
+        there.reset(again)
+        here.reset(again)
+        assert (there.advance_tips(7) == here.advance_tips(7)).all()
+    for name in ('motion', 'failed', 't', 'friction_heat'):
+        assert np.array_equal(getattr(there, name), getattr(here, name)), name
+    for name in ('position', 'deflection', 'rotation'):
+        assert (getattr(there, name)() == getattr(here, name)()).all()
+    return there
+
+
+def bodies(name, count, **more):
+    """Return scenes of `test_batch`, each with its own mass at the tip."""
+    return [scene_of(name, 'exact', **more, **{'end_effector.mass': mass})
+            for mass in np.random.default_rng(1).uniform(0.5, 3.0, count)]
+
+
+def test_the_kernel_compiled_for_the_cpu_gives_the_bits_of_a_batch(processor):
+    """Friction of bristles, play, a gear, limits of rates; each lane has its own tip mass."""
+    scenes = bodies('gear', 37, **SCENES['limits of rates'], **{
+        'motor.rotor.coulomb_speed': 0.0, 'carrier.coulomb_friction': 2.0})
+    compare(scenes, 40)
+
+
+def test_arms_that_are_alike_share_their_constants_and_take_arrays_of_the_device(processor):
+    scene = scene_of('free', 'exact')
+    there, here = compare(scene, 20, n=45), Batch(scene, n=45)
+    assert there._lanes._memory[0].nbytes < 1e4 and there._lanes.groups == 2
+    torque = np.random.default_rng(1).normal(0.0, 5.0, 45)
+    for batch in there, here:
+        batch.reset(motion=np.linspace(0.0, 0.01, 12))
+        batch.step(torque=torque, tip_force=[1.0, 2.0], duration=0.02)
+        batch.advance(3, np.ones((45, LOADS)))
+    copied = deepcopy(there)
+    for batch in here, copied:
+        batch.step(duration=0.02)
+    assert (copied.motion.values == here.motion.values).all()
+    assert (there.motion.values != here.motion.values).any()
+    found = copied.on_device()
+    assert (found['motion'] == here.motion.values).all() and not found['failed'].any()
+    with pytest.raises(timo_sim.ParameterError, match=r'torque must have shape \(45,\)'):
+        there.step(torque=np.full(45, np.nan))
+
+
+@pytest.mark.parametrize('modes, entry, processor', [
+    (1, thread_alike, 'sm_80'), (3, thread_each, 'sm_80'), (5, thread_alike, 'sm_90'),
+    (8, thread_each, 'sm_90')])
+def test_a_kernel_is_made_for_gpus(modes, entry, processor, tmp_path):
+    """LLVM writes PTX, in which all is rounded as on the CPU; ptxas, where it is, assembles it."""
+    scene = timo_sim.load_scene('paper', {'model.modes': modes})
+    steps = ThreadSteps(Processor(), [scene.build()], scene.step, 10.0,
+                        scene.bristles[np.newaxis], entry is thread_alike)
+    text = machine.ptx(entry, steps._constants, processor).decode()
+    assert f'.target {processor}' in text and f'.visible .entry {machine.KERNEL}(' in text
+    assert '.extern' not in text and 'fma.rn.f64' in text
+    assert not re.search(r'\t(add|sub|mul|fma|div|sqrt)(\.approx|\.ftz)*\.f64', text)
+    wheels = [Path(each) for folder in sys.path
+              for each in Path(folder).glob('nvidia/c*/bin/ptxas')]
+    for ptxas in [shutil.which('ptxas'), *wheels][:1 + len(wheels)]:
+        if ptxas:
+            (tmp_path / 'arms.ptx').write_text(text)
+            subprocess.run([ptxas, f'-arch={processor}', tmp_path / 'arms.ptx', '-o',
+                            tmp_path / 'arms.cubin'], check=True)
+
+
+def test_what_is_missing_is_refused_before_anything_is_made(processor, monkeypatch):
+    monkeypatch.setattr(Processor, 'free', 10**6)
+    with pytest.raises(timo_sim.ParameterError, match='n must fit'):
+        Batch('paper', n=10**5, device='cuda')
+    for scene, text in (scene_of('payload', 'exact'), 'payload.time'), (
+            scene_of('one axis held', 'exact'), 'carrier.held = x'):
+        with pytest.raises(timo_sim.ParameterError, match=text):
+            Batch(scene, device='cuda')
+    with pytest.raises(timo_sim.ParameterError, match='device must be one of cpu, cuda'):
+        Batch('paper', device='gpu')
+
+
+def gpu():
+    """Return why there is no GPU, or ''."""
+    try:
+        Cuda()
+    except (MissingPackage, timo_sim.ParameterError) as error:
+        return str(error)
+    return ''
+
+
+@pytest.mark.cuda
+@pytest.mark.skipif(bool(gpu()), reason=gpu())
+@pytest.mark.parametrize('name', [name for name in SCENES if name not in (
+    'payload', 'one axis held', 'static mode')])
+def test_a_gpu_gives_the_bits_of_the_cpu(name):
+    """10 000 lanes of ten scenes and more, each with its own mass at the tip and commands."""
+    compare(bodies(name, 1000), 100)
+
+
+@pytest.mark.cuda
+@pytest.mark.skipif(bool(gpu()), reason=gpu())
+def test_arrays_of_the_gpu_stay_there():
+    cupy = Cuda().xp
+    there, here = (Batch('paper', n=1000, device=device) for device in ('cuda', 'cpu'))
+    torque = np.random.default_rng(1).normal(0.0, 5.0, 1000)
+    there.step(torque=cupy.asarray(torque), duration=0.1)
+    here.step(torque=torque, duration=0.1)
+    found = cupy.from_dlpack(there.on_device()['motion'])
+    assert (cupy.asnumpy(found) == here.motion.values).all()

@@ -1,0 +1,83 @@
+# Copyright 2026 The timo_sim authors
+# SPDX-License-Identifier: Apache-2.0
+
+"""The device of a Batch that is a GPU of NVIDIA: memory and kernels by CuPy, the extra `cuda`."""
+
+from collections.abc import Callable
+from pathlib import Path
+from tempfile import TemporaryDirectory
+from typing import Any
+
+import numpy as np
+
+from timo_sim.compiled import machine
+from timo_sim.extras import optional
+from timo_sim.scene.parameters import ParameterError
+
+_BLOCK = 64  # threads of a block
+_OLDEST, _NEWEST = 80, 90  # compute capabilities for which PTX is made; later GPUs take the last
+_STACKS = 2**30  # room for the stacks of all threads that a GPU runs at a time [B]
+
+
+class Cuda:
+    """
+    The current device of CuPy, see `steps.threads.ThreadSteps`.
+
+    Raises MissingPackage without CuPy, ParameterError without such a GPU.
+    """
+
+    def __init__(self) -> None:
+        cuda = self.xp.cuda
+        try:
+            capability = int(cuda.Device().compute_capability)
+        except cuda.runtime.CUDARuntimeError as error:
+            raise ParameterError("device must be 'cpu' without an NVIDIA GPU and its driver, got "
+                                 f"'cuda': {error}") from None
+        if capability < _OLDEST:
+            raise ParameterError(f"device = 'cuda' needs a GPU of compute capability "
+                                 f'{_OLDEST / 10} or newer, got {capability / 10}')
+        self._processor = f'sm_{_NEWEST if capability >= _NEWEST else _OLDEST}'
+
+    @property
+    def xp(self) -> Any:
+        """CuPy."""
+        with optional():
+            import cupy
+        return cupy
+
+    def owns(self, given: Any) -> bool:
+        """Return whether something is an array of a device."""
+        return hasattr(given, '__dlpack__') and not isinstance(given, np.ndarray)
+
+    def array(self, name: str, given: Any, shape: tuple[int, ...]) -> Any:
+        """Return an array of finite numbers that the device has, or raise ParameterError."""
+        array = self.xp.from_dlpack(given)
+        if array.shape != shape or not self.xp.isfinite(array).all():
+            raise ParameterError(f'{name} must have shape {shape} and finite numbers, got shape '
+                                 f'{array.shape}, {self.host(array).ravel()[:3]} ...')
+        return array
+
+    def host(self, array: Any) -> np.ndarray:
+        """Return an array of the device as one of NumPy."""
+        return self.xp.asnumpy(self.xp.from_dlpack(array) if self.owns(array) else array)
+
+    def make_room(self, number: int) -> None:
+        """Raise ParameterError if the device has no room for so many bytes."""
+        free = (self.xp.cuda.Device().mem_info[0] - _STACKS
+                + self.xp.get_default_memory_pool().free_bytes())
+        if number > free:
+            raise ParameterError(
+                f'n must fit into the memory of the GPU: {number / 2**30:.1f} GiB are needed, '
+                f'{max(free, 0) / 2**30:.1f} GiB are free')
+
+    def kernel(self, entry: Any, constants: tuple[Any, ...]) -> Callable[..., None]:
+        """Return a function that calls an entry point with the first threads."""
+        text = machine.ptx(entry, constants, self._processor)
+        with TemporaryDirectory() as folder:
+            path = Path(folder, 'arms.ptx')
+            path.write_bytes(text)
+            kernel = self.xp.RawModule(path=str(path)).get_function(machine.KERNEL)
+
+        def launch(count: int, *arrays: Any) -> None:
+            kernel((-(-count // _BLOCK),), (_BLOCK,), (*arrays, self.xp.int64(count)))
+        return launch

@@ -1,0 +1,88 @@
+# Copyright 2026 The timo_sim authors
+# SPDX-License-Identifier: Apache-2.0
+
+"""Equal time steps of many models of one size on a GPU: a lane is a thread of it."""
+
+from functools import cached_property
+from typing import Any
+
+import numpy as np
+
+from timo_sim.compiled.entry import EntryPoint
+from timo_sim.compiled.functions import Thread, WARP
+from timo_sim.model.formulation import Formulation
+from timo_sim.steps.lanes import advance_alike, advance_each, advance_group, LaneSteps
+
+# As those of `lanes`, but a call advances one lane, whose number is its last argument.
+thread_alike, thread_each = (
+    EntryPoint(advance_group, {**entry.arguments, 'group': Thread}, name)
+    for entry, name in ((advance_alike, 'thread_alike'), (advance_each, 'thread_each')))
+
+
+class ThreadSteps(LaneSteps):
+    """
+    As `LaneSteps`, in groups of WARP, for models without sectors that do not change.
+
+    The arrays are in the memory of a `device`: `xp` is its NumPy, `make_room(number)` raises an
+    error if it has no room for so many bytes, `host(array)` returns an array of NumPy, and
+    `kernel(entry, constants)` a function that calls an entry point with the first threads; its
+    arguments are their number and what passes those of the entry point but the last.
+    """
+
+    width = WARP
+
+    def __init__(self, device: Any, models: list[Formulation], step: float, bend_limit: float,
+                 bristles: np.ndarray, alike: bool) -> None:
+        self._device, self.xp, self._count = device, device.xp, len(models)
+        alike = alike and all(model is models[0] for model in models) and bool(
+            (bristles == bristles[0]).all())
+        # The first group tells how much memory all need.
+        super().__init__(models[:WARP], step, bend_limit, bristles[:WARP], alike)
+        own = self._constants[2 * alike:-1]
+        self.groups = -(-len(models) // WARP)
+        device.make_room(self.groups * sum(each.length for each in own))
+        packed, repeated = self._constants, self.groups
+        if not alike:
+            packed = self._pack(self._padded(models), bend_limit, self._padded(bristles))
+            repeated = 1
+        self._memory = [self.xp.asarray(each.memory.view(float)) for each in packed[:-1]]
+        self._memory[2 * alike:] = [self.xp.tile(each, repeated)
+                                    for each in self._memory[2 * alike:]]
+        self._name_arrays()
+
+    def _name_arrays(self):
+        lane = self._constants[3]
+        for name, field in (('constant_load', 'constant_load'), ('state', 'state'),
+                            ('memory', 'friction'), ('progress', 'progress'),
+                            ('motion', 'motion'), ('tip', 'tip')):
+            view = lane.views[field]
+            setattr(self, name, self.xp.lib.stride_tricks.as_strided(
+                self._memory[3][lane.offsets[field] // 8:], (self.groups, *view.shape[1:]),
+                view.strides))
+
+    def host(self, array: Any) -> np.ndarray:
+        """Return an array of the device as one of NumPy."""
+        return self._device.host(array)
+
+    def room(self, number: int, length: int) -> Any:
+        """Return an array for so many vectors of a length in each lane."""
+        if number:
+            self._device.make_room(8 * self.groups * WARP * number * length)
+        return super().room(number, length)
+
+    def __getstate__(self):
+        return {name: each for name, each in vars(self).items() if name not in ('xp', '_kernel')}
+
+    def __setstate__(self, state: dict[str, Any]) -> None:
+        super().__setstate__(state)
+        self.xp = self._device.xp
+        self._name_arrays()
+
+    @cached_property
+    def _kernel(self):
+        return self._device.kernel(thread_alike if self._alike else thread_each, self._constants)
+
+    def _call(self, columns, varying, sample_every, since, samples, tips):
+        self._plan_call(columns, varying, sample_every, since, samples, tips)
+        self._kernel(self._count, *self._memory, *map(self.xp.asarray, (
+            self._plan.memory, columns, varying)), samples, tips)
