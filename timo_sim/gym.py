@@ -80,6 +80,8 @@ class ReachVectorEnv(Stateful, VectorEnv):
     force : float
         Force on the carrier along world x and y at actions of 1 [N]; 0: no such action.
     autoreset_mode : gymnasium.vector.AutoresetMode or str
+    device : str
+        That of the `Batch`: 'cpu' or 'cuda'.
 
     Attributes
     ----------
@@ -107,7 +109,8 @@ class ReachVectorEnv(Stateful, VectorEnv):
     def __init__(self, num_envs: int = 1, scene: SceneLike = SCENE,
                  variations: Sequence[Mapping[str, Any]] | None = None, period: float = 0.02,
                  duration: float = 4.0, farthest_goal: float = 1.0, force: float = 0.0,
-                 autoreset_mode: AutoresetMode | str = AutoresetMode.NEXT_STEP) -> None:
+                 autoreset_mode: AutoresetMode | str = AutoresetMode.NEXT_STEP,
+                 device: str = 'cpu') -> None:
         scene, self.num_envs = load_scene(scene), _COUNT.check(num_envs)
         num_envs = self.num_envs
         if variations is not None and len(variations) != num_envs:
@@ -126,7 +129,7 @@ class ReachVectorEnv(Stateful, VectorEnv):
         self._mode = autoreset_mode if isinstance(autoreset_mode, AutoresetMode) else (
             AutoresetMode(_MODE.check(autoreset_mode)))
         self.metadata = {'autoreset_mode': self._mode, 'render_modes': []}
-        self.batch, self.period = Batch(scenes), _PERIOD.check(period)
+        self.batch, self.period = Batch(scenes, device=device), _PERIOD.check(period)
         self._steps = whole_ratio('period', self.period, 'integrator.step', scene.step)
         self._periods = whole_ratio('duration', self._duration, 'period', self.period)
         models = [each.build() for each in scenes]

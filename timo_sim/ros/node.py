@@ -150,8 +150,10 @@ class SimNode(ParameterNode):
         self._loop.poll()
         wait = self._loop.tick(now, self._stop)
         # The error is measured while nothing else is due.
-        follows = wait > 0.0 and isinstance(self._simulator, EstimatingSimulator)
-        return 0.0 if follows and self._simulator.measure_error(STEPS_BEHIND) else wait
+        if wait > 0.0 and isinstance(self._simulator, EstimatingSimulator) and (
+                self._simulator.measure_error(STEPS_BEHIND)):
+            return 0.0
+        return wait
 
     def _close(self):
         wall_time = time.monotonic() - self._opened
