@@ -19,6 +19,7 @@ from timo_sim.log.read import recover
 from timo_sim.log.tables import Recording
 from timo_sim.model.layout import FORCE_X, FORCE_Y, LOADS, TORQUE, VOLTAGE
 from timo_sim.runs.replay import replay
+from timo_sim.scene.files import read_sections
 
 ROOT = Path(__file__).resolve().parents[1]
 CXX = shutil.which('g++')
@@ -154,6 +155,23 @@ def test_urdf(program, tmp_path):
     up, = block.iterfind('sensor[@name="tip_imu"]/state_interface'
                          '[@name="linear_acceleration.z"]/param')
     assert float(up.text)**2 == pytest.approx(9.80665**2 - 3.0**2)
+
+
+def test_controllers_of_the_launch_file_use_its_joints_and_interfaces(tmp_path):
+    _, urdf = export(tmp_path, {'model.modes': 0})
+    commands, states = ({f'{joint.get("name")}/{interface.get("name")}'
+                         for joint in urdf.iterfind('ros2_control/joint')
+                         for interface in joint.iterfind(f'{kind}_interface')}
+                        for kind in ('command', 'state'))
+    sections = read_sections(ROOT / 'hardware/config/controllers.yaml')
+    effort, pid = sections['/effort_controller'], sections['/pid_controller']
+    (dof,), (claimed,) = pid['dof_names'], effort['joints']
+    assert {f'{claimed}/{effort["interface_name"]}', f'{dof}/{pid["command_interface"]}'} <= (
+        commands)
+    assert {f'{dof}/{name}' for name in pid['reference_and_state_interfaces']} <= states
+    assert [name for name in pid if name.startswith('gains') and f'.{dof}.' not in name] == []
+    # generate_parameter_library refuses whole numbers for doubles.
+    assert all(type(value) is not int for value in pid.values())
 
 
 def test_refused(program, tmp_path):

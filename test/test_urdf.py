@@ -6,7 +6,6 @@
 from pathlib import Path
 import shutil
 import subprocess
-import xml.etree.ElementTree as ElementTree
 
 from click.testing import CliRunner
 import numpy as np
@@ -14,7 +13,6 @@ import pytest
 
 import timo_sim
 from timo_sim.cli import main
-from timo_sim.topics.commands import JOINTS
 
 urdf_parser_py = pytest.importorskip('urdf_parser_py.urdf')
 
@@ -67,13 +65,6 @@ def test_joints_topics_and_the_file_that_is_installed(tmp_path):
     assert links == {f'arm_{number}': 'fixed' for number in range(1, 11)}
     assert {name: joint.type for name, joint in robot.joint_map.items() if name not in links} == {
         'carrier_x': 'prismatic', 'carrier_y': 'prismatic', 'shaft': 'continuous', 'tip': 'fixed'}
-    # ros2_control must use the joints and topics of the node.
-    control = ElementTree.fromstring(printed).find('ros2_control')
-    assert tuple(joint.get('name') for joint in control.findall('joint')) == JOINTS
-    topics = {entry.get('name'): entry.text for entry in control.findall('hardware/param')}
-    assert topics['joint_commands_topic'] == '/timo_sim/joint_command'
-    assert topics['joint_states_topic'] == '/timo_sim/joint_states'
-    assert topics['trigger_joint_command_threshold'] == '-1'
 
 
 def test_links_are_the_frames_of_the_scene(tmp_path):

@@ -26,14 +26,13 @@ def _end_if_failed(event, context):
 
 
 def _nodes(context):
-    hardware, controller, sync, controllers, scene = (
-        LaunchConfiguration(name).perform(context) for name in (
-            'hardware', 'controller', 'sync', 'controllers_file', 'params_file'))
-    inside, timed = hardware == 'inside', {'use_sim_time': True}
+    controller, controllers, scene = (LaunchConfiguration(name).perform(context) for name in (
+        'controller', 'controllers_file', 'params_file'))
+    timed = {'use_sim_time': True}
     library = Path(launch_config.log_dir, 'scene.so')
     urdf = Command([
         ExecutableInPackage('timo_sim', 'timo_sim'), ' urdf ', shlex.quote(scene),
-        f' --ros2-control {shlex.quote(str(library))} --set publish_clock=true' * inside],
+        f' --ros2-control {shlex.quote(str(library))} --set publish_clock=true'],
         on_stderr='warn').perform(context)
     nodes = [
         Node(package='robot_state_publisher', executable='robot_state_publisher',
@@ -42,21 +41,14 @@ def _nodes(context):
         # the manager is set inside it, without the topic, which comes later.
         Node(package='controller_manager', executable='ros2_control_node', output='screen',
              ros_arguments=['--params-file', controllers,
-                            *['-r', 'controller_manager:/clock:=/clock_unheard'] * inside],
+                            '-r', 'controller_manager:/clock:=/clock_unheard'],
              parameters=[timed], on_exit=Shutdown()),
-        # Controllers start with /clock, before which the simulator may have to compile.
+        # Controllers start with /clock.
         Node(package='controller_manager', executable='spawner', output='screen',
              arguments=['joint_state_broadcaster', controller, '--param-file', controllers,
                         '--switch-timeout', '120', '--service-call-timeout', '120'],
              on_exit=_end_if_failed),
     ]
-    if not inside:
-        # joint_state_broadcaster publishes joint_states; the hardware reads the simulator's.
-        nodes.insert(0, Node(
-            package='timo_sim', executable='sim_node', name='timo_sim', output='screen',
-            ros_arguments=['--params-file', scene, '--params-file', controllers],
-            parameters=[{'sync': sync}], remappings=[('joint_states', 'timo_sim/joint_states')],
-            on_exit=Shutdown()))
     for node in nodes:  # if a program is missing, none must run: launch would end none
         ExecutableInPackage(node.node_executable, node.node_package).perform(context)
     return nodes
@@ -65,14 +57,8 @@ def _nodes(context):
 def generate_launch_description():
     """Describe the simulator, the controller manager and the spawner of one controller."""
     return LaunchDescription([
-        DeclareLaunchArgument('hardware', default_value='inside', choices=['inside', 'topic'],
-                              description='whether the arm steps inside the controller manager, '
-                                          'or in a node of its own'),
         DeclareLaunchArgument('controller', default_value='effort_controller',
                               description='controller of controllers_file that is activated'),
-        DeclareLaunchArgument('sync', default_value='free', choices=['free', 'any_command'],
-                              description='any_command: time waits for each command, with '
-                                          'hardware:=topic'),
         DeclareLaunchArgument('controllers_file',
                               default_value=str(_SHARE / 'config/controllers.yaml'),
                               description='parameters of the controllers and of their timing'),

@@ -221,7 +221,7 @@ def test_a_wait_ends_after_its_time_and_is_counted(start, client):
         return begun
     client.wait(begins, 'the run')
     code, output = node.wait()
-    assert code == 0 and output.count('need sync: any_command') == 1
+    assert code == 0 and output.count('copies that of joint_states') == 1
     summary = Recording(node.log).summary
     assert 1 <= summary['missed_commands'] <= 9
     shown = '\n'.join(info(node.log))
@@ -229,7 +229,44 @@ def test_a_wait_ends_after_its_time_and_is_counted(start, client):
         assert f' {name} {summary[name]}' in shown
 
 
-def test_a_controller_that_waits_for_time_is_told_of_any_command(start, client):
+def test_time_stands_when_the_controller_of_lock_step_has_left(start, client):
+    """There is a warning and no dropped time; the next controller gets the state and goes on."""
+    node = start(sync='wait', sync_period=0.005, sync_timeout=0.05)
+    states = client.collect(JointState, '/joint_states')
+    health = client.collect(DiagnosticArray, '/diagnostics')
+
+    def control(until):
+        torque = client.command(Float64, '/timo_sim/motor_torque')
+
+        def reached():
+            torque.publish(Float64(data=0.1))
+            return states and nanoseconds(states[-1]) >= until
+        client.wait(reached, f'the state at {until} ns')
+        client.destroy_publisher(torque)
+
+    def stands():
+        told = len(health)
+        client.wait(lambda: len(health) > told and (
+            health[-1].status[0].message.startswith('waiting for a command')), 'that it waits')
+        shown = len(states)
+        client.wait(lambda: len(states) > shown, 'the state, again')
+        return nanoseconds(states[-1])
+
+    assert stands() == 1
+    control(20000000)
+    left = stands()
+    assert stands() == left
+    control(left + 20000000)
+    code, output = node.end()
+    assert code == 0
+    assert output.count('nobody publishes commands any more') in (1, 2)  # it may end at once
+    recording = Recording(node.log)
+    assert recording.summary['overruns'] == 0 and recording.summary['dropped_time_s'] == 0.0
+    # Repeated states are not logged again.
+    assert set(np.diff(recording.topics['joint_states'].step)) == {5}
+
+
+def test_a_controller_that_waits_for_time_is_told_so(start, client):
     """A timer on sim time sends nothing before /clock goes on; without a publisher it is quiet."""
     node = start(sync='wait', record=False, publish_clock=True)
     health = client.collect(DiagnosticArray, '/diagnostics')
@@ -244,11 +281,11 @@ def test_a_controller_that_waits_for_time_is_told_of_any_command(start, client):
 
     def told():
         executor.spin_once(timeout_sec=0.01)
-        return health and 'sync: any_command' in health[-1].status[0].message
+        return health and 'never begins' in health[-1].status[0].message
     client.wait(told, 'the remedy')
     timed.destroy_node()
     code, output = node.end()
-    assert code == 0 and output.count('sync: any_command') == 1
+    assert code == 0 and output.count('never begins') == 1
 
 
 def test_the_latest_message_sets_an_input(start, client):

@@ -14,24 +14,20 @@ import sys
 import time
 import xml.etree.ElementTree as ElementTree
 
-import numpy as np
 import pytest
 from ros_process import PATIENCE
 from sensor_msgs.msg import JointState
 import yaml
 
 from timo_sim.log.read import recover
-from timo_sim.log.tables import Recording
 from timo_sim.runs.replay import replay
-from topic_hardware import ControllerManager
 
 ROOT = Path(__file__).resolve().parents[2]
 PAGE = (ROOT / 'doc/ros.md').read_text()
 LAUNCH, PUBLISH = (re.findall(f'^ros2 {name} .*', PAGE, re.M) for name in ('launch', 'topic pub'))
 PROGRAMS = {'controller_manager': ['ros2_control_node', 'spawner'], 'timo_sim_hardware': [],
             'robot_state_publisher': ['robot_state_publisher'],
-            'timo_sim': ['sim_node', 'timo_sim']}
-OURS = {'sim_node': 'timo_sim.cli.sim_node', 'timo_sim': 'timo_sim'}
+            'timo_sim': ['timo_sim']}
 PREFIXES = os.environ.get('AMENT_PREFIX_PATH', '').split(os.pathsep)
 MISSING = [package for package in PROGRAMS
            if not any(Path(prefix, 'share', package).is_dir() for prefix in PREFIXES)]
@@ -39,13 +35,13 @@ MISSING = [package for package in PROGRAMS
 
 @pytest.fixture
 def packages(tmp_path, monkeypatch):
-    """Install the simulator as `sim_node`, and stand-ins that print their arguments and wait."""
+    """Install `timo_sim`, and stand-ins of others that print their arguments and wait."""
     for package, programs in PROGRAMS.items():
         for program in programs:
             path = tmp_path / 'lib' / package / program
             path.parent.mkdir(parents=True, exist_ok=True)
             path.write_text('#!/bin/bash\n' + (
-                f'exec {sys.executable} -m {OURS[program]} "$@"' if program in OURS
+                f'exec {sys.executable} -m timo_sim "$@"' if program == 'timo_sim'
                 else f'echo "{program} $*"; exec sleep {PATIENCE}'))
             path.chmod(0o755)
         index = tmp_path / 'share/ament_index/resource_index/packages' / package
@@ -75,26 +71,6 @@ def launched(command, folder):
         process.wait()
 
 
-def test_the_launched_simulator_matches_hardware_and_manager(
-        packages, client, tmp_path):
-    controllers = ROOT / 'hardware/config/controllers.yaml'
-    with launched(f'{packages} hardware:=topic controller:=pid_controller sync:=any_command',
-                  tmp_path) as said:
-        manager = ControllerManager(client, 0.002, lambda angle, speed: 1.0,
-                                    states='/timo_sim/joint_states')
-        states = client.collect(JointState, '/timo_sim/joint_states')
-        client.wait(lambda: states and states[-1].header.stamp.nanosec > 10**8, 'a tenth second')
-        assert client.count_publishers('/joint_states') == 0
-        spawned = ('spawner joint_state_broadcaster pid_controller --param-file '
-                   f'{controllers} --switch-timeout')
-        client.wait(lambda: spawned in said(), 'what the spawner is told')
-        assert f'ros2_control_node --ros-args --params-file {controllers}' in said()
-    manager.close()
-    log, = tmp_path.glob('timo_sim_*.mcap')
-    commands = Recording(log).topics['~/joint_command']
-    assert len(commands.step) > 10 and set(np.diff(commands.step)) == {2}
-
-
 @pytest.mark.skipif(not shutil.which('cc'), reason='needs a C compiler')
 def test_the_manager_that_has_the_arm_inside(packages, tmp_path):
     (tmp_path / 'scene.yaml').write_text('timo_sim: {ros__parameters: {arm.length: 1.5}}')
@@ -110,7 +86,6 @@ def test_the_manager_that_has_the_arm_inside(packages, tmp_path):
             assert time.monotonic() < end, said()
             time.sleep(0.05)
         assert '-r controller_manager:/clock:=/clock_unheard' in said()
-        assert 'sim_node' not in said()
         told = yaml.safe_load((tmp_path / 'told.yaml').read_text())['/**']['ros__parameters']
         robot = ElementTree.fromstring(told['robot_description'])
         assert robot.find('joint[@name="tip"]/origin').get('xyz') == '1.5 0 0'
@@ -119,18 +94,20 @@ def test_the_manager_that_has_the_arm_inside(packages, tmp_path):
         assert given['publish_clock'] == 'true'
 
 
-@pytest.mark.parametrize('hardware, missing, words', [
-    ('topic', 'a file', "No such file or directory: 'nowhere.yaml'"),
-    ('inside', 'a package', "'controller_manager' not found"),
-    ('topic', 'a plugin', 'ros2_control_node-3] was required'),
-    ('topic', 'a controller', 'spawner-4] was required')])
-def test_what_is_missing_ends_everything(packages, tmp_path, hardware, missing, words):
+@pytest.mark.skipif(not shutil.which('cc'), reason='needs a C compiler')
+@pytest.mark.parametrize('missing, words', [
+    ('a file', "No such file or directory: 'nowhere.yaml'"),
+    ('a package', "'controller_manager' not found"),
+    ('a plugin', 'ros2_control_node-2] was required'),
+    ('a controller', 'spawner-3] was required')])
+def test_what_is_missing_ends_everything(packages, tmp_path, missing, words):
     if missing == 'a package':
         (tmp_path / 'share/ament_index/resource_index/packages/controller_manager').unlink()
     for place, program in ('a plugin', 'ros2_control_node'), ('a controller', 'spawner'):
         if place == missing:
             (tmp_path / 'lib/controller_manager' / program).write_text('#!/bin/sh\nexit 1\n')
-    scene = [f'hardware:={hardware}', *['params_file:=nowhere.yaml'] * (missing == 'a file')]
+    (tmp_path / 'scene.yaml').write_text('timo_sim: {ros__parameters: {model.modes: 0}}')
+    scene = [f'params_file:={"nowhere" if missing == "a file" else "scene"}.yaml']
     with (tmp_path / 'said.txt').open('w') as file:
         process = subprocess.Popen([*packages.split(), *scene], cwd=tmp_path, stdout=file,
                                    stderr=subprocess.STDOUT, stdin=subprocess.DEVNULL,
@@ -147,15 +124,13 @@ def test_what_is_missing_ends_everything(packages, tmp_path, hardware, missing, 
 
 
 @pytest.mark.skipif(bool(MISSING), reason=f'not installed: {", ".join(MISSING)}')
-@pytest.mark.parametrize('how', ['hardware:=inside', 'hardware:=topic sync:=free',
-                                 'hardware:=topic sync:=any_command'])
 @pytest.mark.parametrize('launch, publish, moved', zip(LAUNCH, PUBLISH, [
     lambda angle, speed, effort: effort == 1.0 and speed > 0.1,
     lambda angle, speed, effort: abs(angle - 1.5) < 0.01 and abs(speed) < 0.01], strict=True),
     ids=['effort', 'pid'])
-def test_the_commands_of_the_page_move_the_shaft(client, tmp_path, launch, publish, moved, how):
+def test_the_commands_of_the_page_move_the_shaft(client, tmp_path, launch, publish, moved):
     """With the real ros2_control."""
-    with launched(f'{launch} {how}', tmp_path) as said:
+    with launched(launch, tmp_path) as said:
         client.wait(lambda: re.search(
             'activated .*(effort|pid)_controller|process has died', said()), 'a controller')
         states = client.collect(JointState, '/joint_states')
@@ -165,10 +140,5 @@ def test_the_commands_of_the_page_move_the_shaft(client, tmp_path, launch, publi
             return states and moved(*(getattr(states[-1], name)[states[-1].name.index('shaft')]
                                       for name in ('position', 'velocity', 'effort')))
         client.wait(reached, 'the motion of the shaft')
-    if how == 'hardware:=inside':
-        recover(tmp_path / 'timo_sim.mcap')
-        assert replay(tmp_path / 'timo_sim_recovered.mcap')
-        return
-    log, = tmp_path.glob('timo_sim_*.mcap')
-    summary = Recording(log).summary
-    assert summary['refused_commands'] == summary['foreign_joints'] == 0
+    recover(tmp_path / 'timo_sim.mcap')
+    assert replay(tmp_path / 'timo_sim_recovered.mcap')

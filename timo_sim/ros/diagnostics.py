@@ -16,8 +16,8 @@ _PERIOD = 1.0  # [s] of wall time
 _TWO_CLOCKS = 'somebody else publishes /clock, too: whoever uses sim time sees it jump'
 _SILENCE = 5  # periods without a first command, though somebody publishes commands
 _SILENT = ('time stands, because no first command has come, though somebody publishes commands: '
-           'a controller that waits for time to go on, as a timer on sim time does, needs '
-           'sync: any_command')
+           'with sync: wait a controller answers joint_states; one that waits for time to go on, '
+           'as a timer on sim time does, never begins')
 
 
 class Health:
@@ -80,7 +80,7 @@ class Health:
     def _check_surroundings(self):
         """Find what is wrong with other nodes, and warn of what is new."""
         node, gate = self._node, self._loop.gate
-        silent = (gate.waits is Waiting.FIRST and gate.stamped and not self._loop.paused
+        silent = (gate.waits is Waiting.FIRST and not self._loop.paused
                   and self._commands.expected())
         self._silent_periods = self._silent_periods + 1 if silent else 0
         nodes = node.get_node_names_and_namespaces()

@@ -54,14 +54,13 @@ class Loop:
         self.simulator, self.end = simulator, end
         period = sync_steps(values, simulator.scene.step)
         self.pace = Pace(simulator.scene.step, waits=period > 0)
-        self.gate = Gate(period, values['sync_timeout'], values['sync'] != 'any_command')
+        self.gate = Gate(period, values['sync_timeout'])
         self.paused: bool = values['start_paused']
         self.diverged: str | None = None
         self._commands, self._log, self._logger = commands, log, logger
         # /clock first, then the states, which wake the controller, so that it reads the new time.
-        # Where /clock itself wakes it, as in ros2_control, the states come first.
         self._outlets = sorted(outlets, key=lambda outlet: outlet.name != '/clock') if (
-            self.gate.period and self.gate.stamped) else outlets
+            self.gate.period) else outlets
         self._late = [outlet for outlet in outlets if isinstance(outlet, LateOutlet)]
         self._commanded = np.zeros(COMMANDED)
         self._shown_at = -math.inf  # wall time at which the state was published last [s]
@@ -111,10 +110,6 @@ class Loop:
                 self.diverged, self.paused = str(error), True
                 self._logger.error(f'paused, {error}; ~/reset goes back to the start')
                 return
-            if not self.gate.stamped and self.gate.takes_commands(simulator.steps):
-                # A command that came before this state is published acts, but does not answer it.
-                self.poll()
-                self._commands.received = False
             self.publish()
 
     def _waits(self, step):
@@ -329,19 +324,17 @@ class Gate:
     """
     Lock step: says when a step must wait for the controller's command, and for which: `waits`.
 
-    The run begins with the first command, which is waited for without limit or, where any command
-    is an answer, until somebody publishes commands: a controller manager on sim time sends none
-    before its clock has gone on by a period. Then a wait takes at most `timeout` [s of wall time].
-    The first state after a reset is stamped 1 ns late, 2 ns after a second reset at that step, and
-    so on: at time 0 its stamp would otherwise be 0, which is that of a command without one.
+    The run begins with the first command, which is waited for without limit. Then a wait takes at
+    most `timeout` [s of wall time]. An answer has the stamp of the state. The first state after a
+    reset is stamped 1 ns late, 2 ns after a second reset at that step, and so on: at time 0 its
+    stamp would otherwise be 0, which is that of a command without one.
 
-    `period` is the number of steps from one wait to the next, 0 without lock step. An answer has
-    the stamp of the state if `stamped`; if not, any command is an answer. `missed` counts waits
-    that ended without a command.
+    `period` is the number of steps from one wait to the next, 0 without lock step. `missed` counts
+    waits that ended without a command.
     """
 
-    def __init__(self, period: int, timeout: float, stamped: bool = True) -> None:
-        self.period, self._timeout, self.stamped = period, timeout, stamped
+    def __init__(self, period: int, timeout: float) -> None:
+        self.period, self._timeout = period, timeout
         self.missed = 0
         self._begin, self._late = 0, 0
         self.restart(0)
@@ -372,7 +365,7 @@ class Gate:
 
     def answered_stamp(self, step: int, size: float) -> int | None:
         """Return the stamp [ns] that answers have at a step, whose `size` is in [s]; None: any."""
-        if not (self.period and self.stamped):
+        if not self.period:
             return None
         answered = -(-step // self.period) * self.period
         return round(answered * size * 1e9) + self.stamp_offset(answered)
@@ -390,12 +383,10 @@ class Gate:
             if not self.waiting:
                 self._since = now
                 self.waits = Waiting.COMMAND if self._begun else Waiting.FIRST
-            if now - self._since < (self._timeout if self._begun else
-                                    math.inf if self.stamped else _REPETITION):
+            if not self._begun or now - self._since < self._timeout:
                 return
             if not expected():
-                self._since = now
-                self.waits = Waiting.NOBODY if self._begun else Waiting.FIRST
+                self._since, self.waits = now, Waiting.NOBODY
                 return
-            self.missed += self._begun
+            self.missed += 1
         self._passed, self.waits = step, Waiting.NOT

@@ -217,8 +217,7 @@ class Inlet:
             self.mismatched += 1
             self.logger.warning(
                 f'command dropped, its stamp is {stamp} ns, that of the state {answered} ns; '
-                'controllers that do not copy it, as ros2_control, need sync: any_command',
-                once=True)
+                'with sync: wait a controller copies that of joint_states', once=True)
             return False
         foreign = [name for name in texts[1:] if name not in JOINTS]
         self.foreign += len(foreign)

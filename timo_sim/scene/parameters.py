@@ -417,8 +417,8 @@ _ALL = [
     _not_negative('command_timeout', 0.0, 's', 'sim time after which a command falls to zero if '
                   'no other follows; 0: held for ever', high=LATEST, scope=NODE, runtime=True),
     Parameter('sync', 'free', '', 'lock step: free: off; wait: each sync_period waits for a '
-              'command with the stamp of the state or none; any_command: whatever its stamp',
-              choices=('free', 'wait', 'any_command'), scope=NODE),
+              'command with the stamp of the state or none', choices=('free', 'wait'),
+              scope=NODE),
     _positive('sync_period', 0.002, 's', 'sim time from one wait for a command to the next',
               high=LATEST, scope=NODE),
     _positive('sync_timeout', 1.0, 's', 'wall time after which a wait ends without a command; not '

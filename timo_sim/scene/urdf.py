@@ -19,7 +19,7 @@ _ALUMINIUM = 2710.0  # [kg/m3]; bodies are drawn with the volume of their mass i
 
 def urdf_of(body: Manipulator, frames: Mapping[str, str],
             control: ElementTree.Element | None = None) -> str:
-    """Return the URDF of a Manipulator with these names of frames, and another <ros2_control>."""
+    """Return the URDF of a Manipulator with these names of frames, and a <ros2_control> if any."""
     parser = ElementTree.XMLParser(target=ElementTree.TreeBuilder(insert_comments=True))
     robot = ElementTree.parse(_PAPER, parser).getroot()
     for path, values in _numbers(body).items():
@@ -31,8 +31,6 @@ def urdf_of(body: Manipulator, frames: Mapping[str, str],
         for element in elements:
             element.set(key, renamed(element.get(key, ''), frames))
     if control is not None:
-        for note in robot[[each.tag for each in robot].index('ros2_control') - 1:]:
-            robot.remove(note)
         robot.append(control)
     text = ElementTree.tostring(robot, 'unicode')
     return '<?xml version="1.0"?>\n' + text.replace(' />', '/>')
