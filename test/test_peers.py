@@ -58,13 +58,12 @@ def test_a_chain_of_links_tends_to_the_arm():
         'model.modes': 6, 'arm.shear_modulus': 27e12, 'integrator.step': 0.005})
     truth = timo_sim.simulate(scene, 0.25, sample_every=2, estimate=False)
     errors = []
-    for links in (5, 10, 20):
+    for links in (4, 8):  # each of which is compiled
         _, theta, carrier, along, across = rigid_links(
-            scene, links, 1e-4, 0.25, 100, gauss=False, matched=0)
+            scene, links, 2e-4, 0.25, 50, gauss=False, matched=0)
         tip = world(theta, carrier, along, across)
         errors.append(np.abs(tip - truth.position(2.0)[1:]).max())
-    observed = np.log2(np.array(errors[:-1]) / errors[1:])
-    assert observed == pytest.approx(2.0, abs=0.2)
+    assert np.log2(errors[0] / errors[1]) == pytest.approx(2.0, abs=0.05)
 
 
 @pytest.mark.filterwarnings('ignore::timo_sim.ModelWarning')

@@ -18,7 +18,7 @@ def observe(scene, seed, disturbance, period, updates):
     random, (size, time) = np.random.default_rng(seed), disturbance
     observer = timo_sim.observer(scene, disturbance={'torque': disturbance})
     arm = timo_sim.Simulator(scene.vary({'sensor.seed': seed}))
-    places = timo_sim.linearize(scene).places
+    places = arm.model.free_places
     first, count = arm.motion.values, len(places)
     first[places] = random.multivariate_normal(
         first[places], observer.covariance[:count, :count])
