@@ -21,11 +21,14 @@ import shutil
 import sys
 from typing import Any
 
+import numpy as np
+
 from timo_sim.compiled import machine, store
 from timo_sim.compiled.entry import EntryPoint
 from timo_sim.compiled.functions import Constants
 from timo_sim.export import instance
 from timo_sim.model import bodies, exact_code, functions, modes, newton
+from timo_sim.model.layout import LOADS
 from timo_sim.scene.scene import load_scene
 from timo_sim.simulation.finer import EstimatingSimulator
 from timo_sim.steps import bristles, etdrk4, lanes, loads, sensors
@@ -65,11 +68,17 @@ def entries() -> Iterator[tuple[EntryPoint, tuple[type, ...]]]:
 
 def compile_usual(values: dict[str, Any]) -> list[str]:
     """
-    Compile what runs and nodes with some values of a scene need, and runs that are finer.
+    Compile what runs and nodes with some values of a scene need, finer runs, and linear models.
 
     Return the names of the files of machine code.
     """
-    EstimatingSimulator(load_scene(values)).warm_up(messages=True)
+    scene = load_scene(values)
+    EstimatingSimulator(scene).warm_up(messages=True)
+    model, motion, load = scene.build().of_any_size(), scene.initial_motion(), np.zeros(LOADS)
+    state = model.state(motion)
+    model.rate(state, load)
+    accelerations, _ = model.accelerations(*(each[np.newaxis] for each in (motion, state, load)))
+    model.effort(motion[np.newaxis], accelerations, load[np.newaxis])
     return machine.loaded()
 
 

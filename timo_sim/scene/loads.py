@@ -76,11 +76,10 @@ class Table:
 
     def rows(self, step: float) -> np.ndarray:
         """Return its pieces for steps of this size, see `SceneLoads`."""
-        time = on_boundaries(self.time, step)
-        length = np.diff(time)
-        slope = np.divide(np.diff(self.value), length, out=np.zeros(len(length)),
-                          where=length > 0.0)
-        return _pieces([time[0], *time], [self.value[0], *self.value], [0.0, *slope, 0.0])
+        time, value = on_boundaries(self.time, step), np.asarray(self.value)
+        length, slope = np.diff(time), np.zeros(len(time) + 1)
+        np.divide(np.diff(value), length, out=slope[1:-1], where=length > 0.0)
+        return _pieces(np.append(time[:1], time), np.append(value[:1], value), slope)
 
 
 @dataclass(frozen=True)

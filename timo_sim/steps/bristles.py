@@ -114,12 +114,13 @@ def _of_straight_arm(model):
 
 def _mobilities(model, motion):
     motion = motion.copy()
-    free, found = [*model.axes, *range(2 + model.driven, model.size // 2)], []
-    joints = model.joint_turns.T[:, free]
-    for motion[2] in (0.0, 0.5 * np.pi):
-        mass = model.mass_matrix(motion)[0][np.ix_(free, free)]
-        found.append(joints @ np.linalg.inv(mass) @ joints.T)
-    return found
+    motion[2] = 0.0
+    free = [*model.axes, *range(2 + model.driven, model.size // 2)]
+    mass, joints = model.mass_matrix(motion)[0], model.joint_turns.T[:, free]
+    turn = np.eye(len(mass))
+    turn[:2, :2] = [[0.0, 1.0], [-1.0, 0.0]]  # the shaft by a right angle
+    return [joints @ np.linalg.inv(each[np.ix_(free, free)]) @ joints.T
+            for each in (mass, turn.T @ mass @ turn)]
 
 
 def fastest(slopes: np.ndarray, mobile: list[np.ndarray]) -> float:
