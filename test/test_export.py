@@ -56,7 +56,7 @@ SCENES = {
         'motor.rotor.coulomb_friction': 0.1, 'motor.rotor.coulomb_presliding': 2e-3,
         'motor.coulomb_friction': 0.2, 'motor.coulomb_presliding': 1e-3,
         'motor.coulomb_asymmetry': 0.5, 'initial.shaft_velocity': 0.05},
-    'newton': {'model.formulation': 'newton', 'initial.shaft_velocity': 2.0},
+    'newton': {'model.formulation': 'newton', 'model.modes': 1, 'initial.shaft_velocity': 2.0},
     'axial': {'model.axial_modes': 1, 'initial.shaft_velocity': 5.0},
     'axial, slowed down': {'model.axial_modes': 1, 'initial.shaft_velocity': 5.0,
                            'integrator.step': 0.005},
