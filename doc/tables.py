@@ -357,14 +357,13 @@ def fit_outliers():
                 'plain': 'no outliers, `linear`', 'linear': '`linear`', 'soft_l1': '`soft_l1`'}))
 
 
-def fit_windows():
+def fit_moving():
     """Return errors of fits to records that begin in motion."""
-    each = _fits('windows')
+    each = _fits('moving')
     return (f'{each["count"]} records that begin {_fits("begun"):g} s after the arm has, so their '
             'initial state is unknown, with dry friction: rms error of all parameters over the '
-            'bound of records that begin at rest.\n\n' + _errors_of('windows', {
-                'rest': 'taken to be at rest', 'initial': '`initial` is free',
-                'window': f'`window={_fits("window"):g}`'}))
+            'bound of records that begin at rest.\n\n' + _errors_of('moving', {
+                'rest': 'taken to be at rest', 'initial': '`initial` is free'}))
 
 
 TABLES = {'commands': commands, 'outputs': published, 'parameters': parameters,
@@ -375,7 +374,7 @@ TABLES = {'commands': commands, 'outputs': published, 'parameters': parameters,
           'cold_start': cold_start, 'fit_machine': fit_machine, 'fit_coverage': fit_coverage,
           'fit_unidentified': fit_unidentified, 'fit_time': fit_time,
           'fit_starts': fit_starts, 'fit_outliers': fit_outliers, 'fit_suspects': fit_suspects,
-          'fit_loops': fit_loops, 'fit_windows': fit_windows}
+          'fit_loops': fit_loops, 'fit_moving': fit_moving}
 
 
 def filled(text):

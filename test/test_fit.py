@@ -303,24 +303,6 @@ def test_presliding_and_friction_at_rest_are_found():
     assert not any('in jumps' in each for each in found.warnings)
 
 
-def test_windows_need_no_initial_state():
-    """The record begins in motion, of which the scene knows nothing, and has dry friction."""
-    scene = {**ARM, **MOTOR, 'motor.coulomb_friction': 0.02}
-    moving = {'initial.shaft': 0.3, 'initial.shaft_velocity': 1.5,
-              'initial.modal_coordinates': [0.004, 0.0, 0.0],
-              'initial.modal_rates': [0.05, 0.0, 0.0]}
-    record = noisy(predicted({**scene, **moving}, {'voltage': (T[:1001], VOLTAGE[:1001])}, [
-        'shaft', 'tip_transverse'], t=T[:1001]), {'shaft': 1e-4, 'tip_transverse': 1e-4})
-    guess = timo_sim.load_scene(scene, {'motor.coulomb_friction': 0.03,
-                                        'arm.young_modulus': 1.8e11})
-    found = timo_sim.fit(guess, record, ['motor.coulomb_friction', 'arm.young_modulus'],
-                         window=1.0, quick=True)
-    assert found.values == pytest.approx(
-        {'motor.coulomb_friction': 0.02, 'arm.young_modulus': 2e11}, rel=0.01)
-    assert found.errors['shaft'].r_squared > 0.999
-    assert found.scene.values['initial.shaft'] == pytest.approx(0.3, abs=1e-3)
-
-
 def test_the_initial_state_is_fitted():
     moving = {'initial.shaft': 0.3, 'initial.shaft_velocity': 0.5,
               'initial.modal_coordinates[0]': 0.004, 'initial.modal_rates[0]': 0.05,
@@ -552,8 +534,6 @@ BAD_ARGUMENTS = [
     (dict(free=['arm.length'], bounds={'arm.length': (0.0, 0.0, 1.0)}), 'must be > 0 m in the'),
     (dict(free=['arm.length'], bounds={'arm.section.width': (1.0, 2.0)}), 'need it to be free'),
     (dict(free=['arm.length'], hold_out=1.0), 'hold_out must be .*<= 0.95, got 1'),
-    (dict(free=['arm.length'], window=0.001), 'window must be at least ten steps, 0.02 s'),
-    (dict(free=['initial'], window=1.0), 'initial.shaft cannot be free with windows'),
     (dict(free=['arm.length'], loss='squared'), 'loss must be one of linear, soft_l1')
 ]
 

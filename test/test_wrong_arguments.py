@@ -139,9 +139,9 @@ def calls(folder):
     yield record.cut, {'start': 0.0, 'end': 0.5}, {'start': '0', 'end': 'inf 1e300'}
     yield timo_sim.fit, {
         'scene': scene, 'record': record, 'free': ['motor.shaft_inertia'], 'bounds': {},
-        'hold_out': 0.0, 'window': None, 'loss': 'linear', 'mapping': None, 'starts': 1,
+        'hold_out': 0.0, 'loss': 'linear', 'mapping': None, 'starts': 1,
         'hold_out_records': [], 'quick': True, 'tell': None, 'time': None}, {
-            'scene': '{}', 'bounds': 'None {}', 'hold_out': '0', 'window': 'None 1e300',
+            'scene': '{}', 'bounds': 'None {}', 'hold_out': '0',
             'mapping': none, 'starts': none, 'hold_out_records': '[]', 'tell': none,
             'time': 'None 1e300'}
     yield fit.sample, {'n': 2, 'seed': 0}, {'seed': '0'}

@@ -2,7 +2,7 @@
 # SPDX-License-Identifier: Apache-2.0
 
 """
-Fits to made records, whose truth is known: intervals, accuracy, time, outliers, windows, starts.
+Fits to made records, whose truth is known: intervals, time, outliers, moving arms, starts.
 
 `make benchmark-fit` writes doc/benchmark/fits.json, from which `make pages` fills the tables of
 doc/fit.md; `--quick` does a few records of each, to run/benchmark.
@@ -56,7 +56,7 @@ FREE = [*GUESSES, DELAY]
 TRUTH = {**{name: np.ravel(SCENE[name])[0] for name in GUESSES}, DELAY: 0.0035}
 STEP_OF_BOUND = 1e-3    # of the central differences, in logarithms and in periods of the record
 OUTLIERS, OUTLIER = 0.01, 30.0      # part of the samples, and their size in standard deviations
-BEGUN, WINDOW = 1.0, 1.0    # time at which a record of a moving arm begins, and its windows [s]
+BEGUN = 1.0                 # time at which a record of a moving arm begins [s]
 # What records cannot tell apart: their input and outputs, what is free, and what is to be named.
 _MOTOR = ['motor.dc.torque_constant', 'motor.dc.resistance', 'motor.viscous_friction']
 _FACTOR = ['torque.gain', 'arm.young_modulus', 'arm.density', 'end_effector.mass',
@@ -167,12 +167,12 @@ def quiet(function, *arguments, **options):
 
 def errors(kind, seed, duration):
     """Return errors of a fit's coordinates, and whether its intervals hold the truth, (2, p)."""
-    options = {'soft_l1': {'loss': 'soft_l1'}, 'window': {'window': WINDOW}}.get(kind, {})
+    options = {'soft_l1': {'loss': 'soft_l1'}}.get(kind, {})
     free = [*FREE, 'initial'] if kind == 'initial' else FREE
     made = record(seed, duration, OUTLIERS * (kind in ('linear', 'soft_l1')),
-                  BEGUN * (kind in ('rest', 'initial', 'window')))
+                  BEGUN * (kind in ('rest', 'initial')))
     first = made.outputs['shaft'].values[0]
-    scene = guess(first if kind in ('rest', 'initial', 'window') else 0.0)
+    scene = guess(first if kind in ('rest', 'initial') else 0.0)
     found = quiet(timo_sim.fit, scene, made, free, **options).estimates
     return [[coordinate(name, found[name].value) - coordinate(name, TRUTH[name])
              for name in FREE],
@@ -471,7 +471,7 @@ PARTS = {
     'unidentifiable': lambda quick: unidentifiable(4.0),
     'coverage': lambda quick: coverage(4 if quick else 100, 4.0),
     'outliers': lambda quick: against(['plain', 'linear', 'soft_l1'], 2 if quick else 20, 4.0),
-    'windows': lambda quick: against(['rest', 'initial', 'window'], 2 if quick else 6, 4.0),
+    'moving': lambda quick: against(['rest', 'initial'], 2 if quick else 6, 4.0),
     'starts': lambda quick: starts(4 if quick else 100, 10.0),
     'suspects': lambda quick: all_suspected(1 if quick else 10, 2.0),
     'loops': lambda quick: coverage_of_loops(4 if quick else 200, 2.0, 200)}
@@ -486,7 +486,7 @@ def main():
     path.parent.mkdir(parents=True, exist_ok=True)
     found = json.loads(path.read_text()) if arguments.part and path.exists() else {}
     found |= {'machine': machine(), 'noise': NOISE, 'period': PERIOD, 'step': STEP, 'finer': FINER,
-              'outlier': [OUTLIERS, OUTLIER], 'begun': BEGUN, 'window': WINDOW}
+              'outlier': [OUTLIERS, OUTLIER], 'begun': BEGUN}
     for name in [arguments.part] if arguments.part else PARTS:
         found[name] = PARTS[name](arguments.quick)
         print(json.dumps(found[name], indent=1), flush=True)

@@ -504,8 +504,6 @@ def sweep(file: str, output: str | None, workers: int | None, scheduler: str | N
     'End with the search: no intervals by profile and no suspects, which can take longer.'))
 @click.option('--time', type=float, metavar='SECONDS', help=(
     'Most that the fit may take: the search then ends with the best so far.'))
-@click.option('--window', type=float, metavar='SECONDS', help=(
-    'Fit windows of about this length, each with an initial state of its own.'))
 @click.option('--loss', default='linear', show_default=True,
               help='Or soft_l1, huber or cauchy, with which outliers weigh less.')
 @click.option('--output', '-o', type=_FILE, metavar='FITTED.yaml',
@@ -515,8 +513,8 @@ def sweep(file: str, output: str | None, workers: int | None, scheduler: str | N
 def fit(records: tuple[str, ...], scene: str | None, free: tuple[str, ...],
         bounds: tuple[str, ...], settings: tuple[str, ...], mapping: tuple[str, ...],
         outputs: str | None, hold_out: float, hold_out_record: tuple[str, ...],
-        starts: int | None, quick: bool, time: float | None, window: float | None, loss: str,
-        output: str | None, png: str | None) -> None:
+        starts: int | None, quick: bool, time: float | None, loss: str, output: str | None,
+        png: str | None) -> None:
     r"""
     Fit parameters of a scene to RECORDs: logs, bags or tables, and predict the rest of them.
 
@@ -554,7 +552,7 @@ def fit(records: tuple[str, ...], scene: str | None, free: tuple[str, ...],
     with warnings.catch_warnings():
         warnings.simplefilter('ignore', ModelWarning)  # the report has its text
         found = fit(load_scene(guess, changes), measured, ','.join(free).split(','), ends,
-                    hold_out, window, loss, starts=starts, hold_out_records=held,
+                    hold_out, loss, starts=starts, hold_out_records=held,
                     tell=partial(click.echo, err=True), quick=quick, time=time)
     click.echo(found.report())
     if output:

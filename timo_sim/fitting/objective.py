@@ -13,7 +13,7 @@ from typing import Any
 
 import numpy as np
 
-from timo_sim.fitting.problem import Free, initial_states, Problem, WHITE, whiteness, Window
+from timo_sim.fitting.problem import Free, Problem, WHITE, whiteness
 from timo_sim.model.differences import differences
 from timo_sim.scene.parameters import ParameterError
 from timo_sim.simulation.warnings import DivergenceError
@@ -24,7 +24,6 @@ CENTRAL = 3e-4  # step of differences in coordinates of the fit, for intervals
 _FIRST_PART, _COARSE = 0.25, 200  # this motion is seen at so many points
 _MIN_DEVIATION = 1e-5  # least standard deviation, relative to the first
 _FIRST_DEVIATION = 0.1  # first standard deviation, relative to that of an output's values
-_PRIOR_DEVIATION = 10.0  # standard deviation of initial states of windows, in their scales
 _MAD = 1.4826  # standard deviations in a median absolute deviation
 
 
@@ -34,12 +33,11 @@ def _unchanged(values):
 
 class Objective:
     """
-    The residuals of several problems by x, the coordinates of all `free` and of initial states.
+    The residuals of several problems by x, the coordinates of all `free`.
 
     Problems share parameters, but biases and initial states, which each has of its own: `places`
-    has for each problem where its `free` are in x. `windows` are pairs of the number of a problem
-    and a Window; behind the free parameters, x has the initial states of these, each near its
-    first value. `start`, `low` and `high` are first values and bounds of x. `deviations` and
+    has for each problem where its `free` are in x, `ends` until when its record is fitted [s].
+    `start`, `low` and `high` are first values and bounds of x. `deviations` and
     `against` have for each problem, by output, the standard deviation of the sensor, and the least
     correlation with the first run.
     """
@@ -62,26 +60,17 @@ class Objective:
         # Deviations have a lower bound: without noise they would fall until squares overflow.
         self._least = [{name: _MIN_DEVIATION * deviation for name, deviation in each.items()}
                        for each in self.deviations]
-        x, self.low, self.high = (
+        self.start, self.low, self.high = (
             np.array([free.coordinate(getattr(free, kind)) for free in self.free])
             for kind in ('start', 'low', 'high'))
-        self.against = [_check_start(problem, self.values(x, k))
+        self.against = [_check_start(problem, self.values(self.start, k))
                         for k, problem in enumerate(self.problems)]
-        self.windows = [(k, window) for k, each in enumerate(problems) for window in each.windows]
-        # Of each window, the Free parameters of its initial state.
-        self._states = [states for k, problem in enumerate(self.problems) for states in (
-            initial_states(problem, self.values(x, k)) if problem.windows[0].names else [[]])]
-        self._prior = np.array([state.coordinate(state.start)
-                                for states in self._states for state in states])
-        self.start = np.append(x, self._prior)
-        self.low, self.high = (np.append(edge, sign * np.inf * np.ones(len(self._prior)))
-                               for edge, sign in ((self.low, -1.0), (self.high, 1.0)))
+        self.ends = [problem.until for problem in problems]
 
     def of_first_parts(self) -> Objective:
         """Return the objective of the first part of each record."""
         part = copy(self)
-        part.windows = [(k, Window(0.0, first_part(self.problems[k]), ()))
-                        for k, _ in self.windows]
+        part.ends = [*map(first_part, self.problems)]
         return part
 
     def of_changed(self, problems: Sequence[Problem],
@@ -102,43 +91,33 @@ class Objective:
                for free, place in zip(problem.free, self.places[k])}
         return {**own, **self._change({**problem.scene.values, **own})}
 
-    def states(self, x: np.ndarray) -> list[dict[str, float]]:
-        """Return the values of the initial state of each window, by name."""
-        coordinates = iter(x[len(self.free):])
-        return [{state.name: state.value(next(coordinates)) for state in states}
-                for states in self._states]
-
     def series(self) -> list[tuple[int, str, np.ndarray]]:
         """Return the series of residuals: problem, output, and what was measured."""
-        return [(k, name, measured) for k, window in self.windows
-                for name, measured in self.problems[k].measurements(window).items()]
+        return [(k, name, measured) for k, (problem, end) in enumerate(zip(
+            self.problems, self.ends)) for name, measured in problem.measurements(end).items()]
 
     def evaluate(self, x: np.ndarray) -> tuple[np.ndarray, bool]:
         """Return all residuals, (n,), large ones of runs that fail, and whether one has failed."""
-        parts = self._of_windows(x)
+        parts = self._of_problems(x)
         return np.concatenate([
-            *(self.problems[k].residuals_of_none(self.deviations[k], window) if part is None
-              else part for (k, window), part in zip(self.windows, parts)),
-            self._of_prior(x)]), any(part is None for part in parts)
+            problem.residuals_of_none(deviations, end) if part is None else part
+            for problem, deviations, end, part in zip(
+                self.problems, self.deviations, self.ends, parts)]), any(
+                    part is None for part in parts)
 
     def residuals(self, x: np.ndarray) -> np.ndarray:
         """Return all residuals, shape (n,)."""
         return self.evaluate(x)[0]
 
-    def _of_windows(self, x):
-        """Return the residuals of each window, None where a run fails."""
+    def _of_problems(self, x):
+        """Return the residuals of each problem, None where a run fails."""
         parts: list[np.ndarray | None] = []
-        values = [self.values(x, k) for k in range(len(self.problems))]
-        for (k, window), state in zip(self.windows, self.states(x)):
+        for k, (problem, end) in enumerate(zip(self.problems, self.ends)):
             try:
-                parts.append(self.problems[k].residuals(
-                    values[k], self.deviations[k], window, state))
+                parts.append(problem.residuals(self.values(x, k), self.deviations[k], end))
             except (DivergenceError, ParameterError):
                 parts.append(None)
         return parts
-
-    def _of_prior(self, x):
-        return (x[len(self.free):] - self._prior) / _PRIOR_DEVIATION
 
     def jacobian(self, x: np.ndarray, step: float = CENTRAL, central: bool = True) -> np.ndarray:
         """Return the derivatives of the residuals by x, (n, len(x)), from differences of runs."""
@@ -147,37 +126,33 @@ class Objective:
             # A delay is varied by whole steps: within a step the run depends on it only through
             # the interpolation of the load.
             late = ['.delay' in free.name for free in self.free]
-            steps[:len(late)][late] *= [self.problems[0].scene.step / free.scale / CENTRAL
-                                        for free, is_late in zip(self.free, late) if is_late]
+            steps[late] *= [self.problems[0].scene.step / free.scale / CENTRAL
+                            for free, is_late in zip(self.free, late) if is_late]
         steps = np.where(x + steps <= self.high, steps, -steps)
-        sizes = [sum(map(len, self.problems[k].measurements(window).values()))
-                 for k, window in self.windows]
+        sizes = [sum(map(len, problem.measurements(end).values()))
+                 for problem, end in zip(self.problems, self.ends)]
 
         def rows(shifted):
             # NaN where a run fails, or beyond a bound.
             if np.any((shifted < self.low) | (self.high < shifted)):
                 return np.full(len(here), np.nan)
-            return np.concatenate([
-                *(np.full(size, np.nan) if part is None else part
-                  for size, part in zip(sizes, self._of_windows(shifted))),
-                self._of_prior(shifted)])
+            return np.concatenate([np.full(size, np.nan) if part is None else part
+                                   for size, part in zip(sizes, self._of_problems(shifted))])
 
         return np.nan_to_num(differences(lambda shifts: np.array([
             rows(x + shift) if shift.any() else here for shift in shifts]), steps,
             2 if central else 1).slope)
 
     def split(self, rows: np.ndarray) -> list[np.ndarray]:
-        """Return the rows of each output in each window, and those of initial states."""
-        parts = np.split(rows, np.cumsum([len(measured) for *_, measured in self.series()]))
-        return parts if len(self._prior) else parts[:-1]
+        """Return the rows of each output of each problem."""
+        return np.split(rows, np.cumsum([len(measured) for *_, measured in self.series()])[:-1])
 
     def weights(self, residuals: np.ndarray) -> np.ndarray:
         """Return the roots of the weights that the loss gives to residuals, shape (n,)."""
         weight = {'linear': lambda z: np.ones_like(z), 'soft_l1': lambda z: (1.0 + z)**-0.5,
                   'huber': lambda z: np.where(z <= 1.0, 1.0, 1.0 / np.sqrt(np.maximum(z, 1.0))),
-                  'cauchy': lambda z: 1.0 / (1.0 + z)}[self.loss](residuals**2)
-        weight[len(weight) - len(self._prior):] = 1.0  # the prior has no weights
-        return np.sqrt(weight)
+                  'cauchy': lambda z: 1.0 / (1.0 + z)}[self.loss]
+        return np.sqrt(weight(residuals**2))
 
     def unlikelihood(self, rows: np.ndarray) -> float:
         """Return minus the logarithm of the likelihood of residuals, but for a constant."""
@@ -186,9 +161,8 @@ class Objective:
             for k, name, measured in self.series())
 
     def is_white(self, x: np.ndarray) -> bool:
-        """Return whether the residuals of all outputs in all windows are white."""
-        return all(whiteness(r) >= WHITE for r, _ in zip(
-            self.split(self.residuals(x)), self.series()))
+        """Return whether the residuals of all outputs are white."""
+        return all(whiteness(r) >= WHITE for r in self.split(self.residuals(x)))
 
     def estimate_deviations(self, x: np.ndarray) -> float:
         """Estimate the standard deviations of the sensors; return the largest relative change."""
@@ -210,10 +184,10 @@ class Objective:
 
 def _check_start(problem, values):
     """Return the least correlations of outputs with the first run, of all and of a first part."""
-    against, window = {}, Window(0.0, problem.until, ())
+    against = {}
     try:
-        predicted, until = problem.predicted(values, window), first_part(problem)
-        for name, measured in problem.measurements(window).items():
+        predicted, until = problem.predicted(values, problem.until), first_part(problem)
+        for name, measured in problem.measurements(problem.until).items():
             t = problem.record.outputs[name].t
             for end in (problem.until, until):
                 part = t[t <= problem.until] <= end
@@ -221,9 +195,8 @@ def _check_start(problem, values):
                     correlation = float(np.corrcoef(predicted[name][part], measured[part])[0, 1])
                     against[name] = min(correlation, against.get(name, 0.0))
     except (DivergenceError, ParameterError) as error:
-        if isinstance(error, ParameterError) or not problem.windows[0].names:
-            raise ParameterError('the record cannot be predicted with the first guess: '
-                                 f'{error}') from None
+        raise ParameterError(
+            f'the record cannot be predicted with the first guess: {error}') from None
     return against
 
 

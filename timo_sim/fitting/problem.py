@@ -32,7 +32,6 @@ from timo_sim.scene.numbers import (
     INITIAL, initial_names, initial_scale, number_of, overrides_of)
 from timo_sim.scene.parameters import did_you_mean, ModelWarning, ParameterError, short, StepError
 from timo_sim.scene.scene import Scene
-from timo_sim.simulation.warnings import DivergenceError
 
 # What a quantity of the record is multiplied by, added to and late by. `lag` is the time constant
 # of a sensor, or of what puts an input out, of first order; an angle that is driven has none.
@@ -136,39 +135,6 @@ def _free(name, bounds, scene, record):
     return Free(name=name, start=start, low=low, high=high, scale=scale, log=log, unit=unit)
 
 
-_SAMPLES_AROUND = 5  # samples to each side from which the angle and speed of the shaft are taken
-
-
-def initial_states(problem: Problem, values: Mapping[str, float]) -> list[list[Free]]:
-    """
-    Return the Free parameters of the initial state of each window.
-
-    They begin with the motion of one run of the whole record, or the measured angle of the shaft.
-    """
-    try:
-        run = problem.run(values, 0.0, problem.until)
-    except DivergenceError as error:
-        run = error.run
-    found = []
-    for window in problem.windows:
-        motion = run.values[min(round(window.begin / run.scene.step), len(run.t) - 1)]
-        half = len(motion) // 2
-        guess = dict(zip(('initial.carrier_x', 'initial.carrier_y', 'initial.shaft'), motion))
-        guess |= dict(zip((f'{name}_velocity' for name in [*guess]), motion[half:half + 3]))
-        if (channel := problem.record.outputs.get('shaft')) is not None:
-            gain, bias, delay, _ = sensor_of(values, 'shaft')
-            t = channel.t - window.begin - delay
-            place = np.searchsorted(t, 0.0)
-            near = slice(max(0, place - _SAMPLES_AROUND), place + _SAMPLES_AROUND + 1)
-            speed, angle = np.polyfit(t[near], (channel.values[near] - bias) / gain, 1)
-            guess |= {'initial.shaft': angle, 'initial.shaft_velocity': speed}
-        scene = problem.scene.vary({
-            **{name: float(value) for name, value in guess.items() if name in window.names},
-            'initial.modal_coordinates': motion[3:half], 'initial.modal_rates': motion[half + 3:]})
-        found.append(free_parameters(window.names, {}, scene, problem.record))
-    return found
-
-
 _DEGREE = 5  # of the spline through a driven angle, whose acceleration is smooth
 
 
@@ -194,29 +160,23 @@ def sensor_of(values: Mapping[str, float], quantity: str) -> list[float]:
     return [values.get(f'{quantity}.{kind}', usual) for kind, usual in SENSOR.items()]
 
 
-def loads_of(record: Record, scene: Scene, values: Mapping[str, float],
-             shift: float = 0.0) -> Load:
-    """
-    Return the Load of a scene and of a record's inputs, whose sensors have these values by name.
-
-    `shift` is the time in the record at which the scene's begins [s].
-    """
+def loads_of(record: Record, scene: Scene, values: Mapping[str, float]) -> Load:
+    """Return the Load of a scene and a record's inputs, whose sensors have values by name."""
     terms: dict[str, list[Any]] = {name: [*own] for name, own in scene.load.terms.items()}
     drive: Any = scene.load.drive
     for name, channel in record.inputs.items():
         gain, bias, delay, lag = sensor_of(values, name)
         if name == DRIVE:
-            drive = Driven(channel, gain, bias, delay - shift)
+            drive = Driven(channel, gain, bias, delay)
             continue
         if name == 'voltage':
             constant = motor_constants(scene.values)[0]
             gain, bias, name = constant * gain, constant * bias, 'torque'
-        t, shown = channel.t + (delay - shift), gain * channel.values + bias
+        t, shown = channel.t + delay, gain * channel.values + bias
         if channel.hold == 'zero':  # a table that jumps, also inside a step
             t, shown = np.repeat(t, 2)[1:], np.repeat(shown, 2)[:-1]
         if lag > 0.0:
-            end = max(t[-1], record.duration - shift)
-            t, shown = _lagging(t, shown, end, scene.step, lag)
+            t, shown = _lagging(t, shown, max(t[-1], record.duration), scene.step, lag)
         terms.setdefault(name, []).append(Table(t, shown))
     return Load({name: tuple(found) for name, found in terms.items()}, drive)
 
@@ -305,34 +265,23 @@ class TimeIsUp(Exception):
     """A run was asked for after the `deadline` of its Problem."""
 
 
-@dataclass(frozen=True)
-class Window:
-    """A part of a record that is predicted from an initial state of its own."""
-
-    begin: float            # [s]
-    end: float              # [s], excluded but for the last window
-    names: tuple[str, ...]  # free parameters of its initial state; empty: that of the scene
-
-
 class Problem:
     """
     A record, the scene that shall predict it, and the parameters that are free.
 
-    They are fitted to the part before `until` [s], in windows of the length `window` [s], if
-    given, each predicted from an initial state of its own. `free` is a list of Free, `windows` of
-    Window. After `deadline`, a time of `time.monotonic`, `run` raises TimeIsUp.
+    They are fitted to the part before `until` [s]. `free` is a list of Free. After `deadline`, a
+    time of `time.monotonic`, `run` raises TimeIsUp.
     """
 
     deadline = math.inf
 
     def __init__(self, scene: Scene, record: Record, names: Sequence[str],
-                 bounds: Mapping[str, Sequence[float]], until: float,
-                 window: float | None = None) -> None:
+                 bounds: Mapping[str, Sequence[float]], until: float) -> None:
         if DRIVE in record.inputs and scene.values['motor.shaft'] != 'driven':
             scene = scene.vary({'motor.shaft': 'driven', 'motor.drive': {
                 'time': [0.0], 'angle': [0.0], 'speed': [0.0], 'acceleration': [0.0]}})
         if DRIVE not in record.inputs and scene.values['motor.shaft'] == 'driven' and (
-                window or not scene.load.drive):
+                not scene.load.drive):
             raise ParameterError('motor.shaft = driven needs a record of the input drive')
         if record.duration > _MAX_STEPS * scene.step:
             raise ParameterError(f'the record lasts {record.duration:g} s, but at most '
@@ -342,48 +291,26 @@ class Problem:
         self.record = limit_inputs(record, scene.values)
         self._sensors = {f'{name}.{kind}' for name in record.outputs for kind in SENSOR}
         self.free = free_parameters(names, bounds, scene, record)
-        self.windows = [Window(0.0, until, ())]
         self._shown: dict[tuple[Any, ...], tuple[float, dict[str, np.ndarray]]] = {}
-        self._own = set(initial_names(scene)) if window else set()
-        if window:
-            self._divide(window)
         still = not (scene.load or scene.load.drive or scene.initial_motion()[3:].any()
                      or scene.build().gravity.any())
         if still and not record.inputs and not any(name.startswith(INITIAL) for name in names):
             raise ParameterError('nothing moves the arm: the record has no input, and the scene '
                                  'no load, no motion at the beginning and no gravity')
 
-    def _divide(self, window):
-        if self.scene.load or self.scene.payloads or self.scene.values['initial.equilibrium']:
-            raise ParameterError('windows need a scene without loads, payloads and '
-                                 'initial.equilibrium of its own, which have their times')
-        fixed = [free.name for free in self.free if free.name in self._own]
-        if fixed:
-            raise ParameterError(f'{fixed[0]} cannot be free with windows, which have initial '
-                                 'states of their own')
-        if not window >= 10.0 * self.scene.step:
-            raise ParameterError('window must be at least ten steps, '
-                                 f'{10.0 * self.scene.step:g} s, got {window:g}')
-        count = max(1, round(self.until / window))
-        edges = self.scene.step * np.rint(
-            np.linspace(0.0, self.until, count + 1) / self.scene.step)
-        names = tuple(initial_names(self.scene))
-        self.windows = [Window(begin, end, names) for begin, end in zip(edges, edges[1:])]
-
     def values(self, x: np.ndarray) -> dict[str, float]:
         """Return the values of the free parameters, by name, for coordinates of the fit."""
         return {free.name: free.value(each) for free, each in zip(self.free, x)}
 
-    def scene_of(self, values: Mapping[str, float],
-                 initial: Mapping[str, float] | None = None) -> Scene:
+    def scene_of(self, values: Mapping[str, float]) -> Scene:
         """
-        Return the scene with free values, and an initial state, without the record's loads.
+        Return the scene with free values, without the record's loads.
 
         Its step is a part of the scene's where this is too long for friction or backlash.
         """
         own = {name: value for name, value in values.items()
                if name not in self._sensors and name.rpartition('.')[0] not in self.record.inputs}
-        changes = overrides_of({**own, **(initial or {})}, self.scene)
+        changes = overrides_of(own, self.scene)
         try:
             return self.scene.vary(changes)
         except StepError as error:
@@ -392,91 +319,83 @@ class Problem:
                 raise
             return self.scene.vary({**changes, 'integrator.step': self.scene.step / parts})
 
-    def run(self, values: Mapping[str, float], begin: float = 0.0, end: float | None = None,
-            initial: Mapping[str, float] | None = None, scene: Scene | None = None) -> Run:
+    def run(self, values: Mapping[str, float], end: float | None = None,
+            scene: Scene | None = None) -> Run:
         """
-        Return the Run that predicts a part of the record, with free values by name.
+        Return the Run that predicts the record until `end` [s], with free values by name.
 
-        `begin` and `end` are times in the record [s], by default all of it; `initial` has values
-        of the initial state by name; `scene` is by default `scene_of(values, initial)`. Raises
+        By default it predicts all of it; `scene` is by default `scene_of(values)`. Raises
         DivergenceError if the run diverges, ParameterError if the values do not fit together.
         """
         if time.monotonic() > self.deadline:
             raise TimeIsUp
-        scene = scene or self.scene_of(values, initial)
-        scene = replace(scene, load=loads_of(self.record, scene, values, begin))
-        duration = (self.record.duration if end is None else end) - begin + max(
+        scene = scene or self.scene_of(values)
+        scene = replace(scene, load=loads_of(self.record, scene, values))
+        duration = (self.record.duration if end is None else end) + max(
             0.0, *(-values.get(f'{name}.delay', 0.0) for name in self.record.outputs))
         with warnings.catch_warnings():
             warnings.simplefilter('ignore', ModelWarning)
             return run_scene(scene, max(1, math.ceil(duration / scene.step - _AT_STEP)))
 
-    def predictions(self, run: Run, values: Mapping[str, float], begin: float = 0.0,
+    def predictions(self, run: Run, values: Mapping[str, float],
                     end: float = math.inf) -> dict[str, tuple[np.ndarray, np.ndarray]]:
-        """Return what each output should show at its samples in a part: by name, times, values."""
-        t = {name: channel.t[is_within(channel.t, begin, end, self.until)]
-             for name, channel in self.record.outputs.items()}
-        shown = _at_samples(run.scene.step, self._outputs_of(run), values, begin, t)
+        """Return what outputs should show at their samples until `end`: by name, times, values."""
+        t = self._times(end)
+        shown = _at_samples(run.scene.step, self._outputs_of(run), values, t)
         return {name: (t[name], shown[name]) for name in t}
 
     def _outputs_of(self, run):
         return {name: OUTPUTS[name].of_run(run) for name in self.record.outputs}
 
-    def predicted(self, values: Mapping[str, float], window: Window,
-                  initial: Mapping[str, float] | None = None) -> dict[str, np.ndarray]:
+    def _times(self, end):
+        return {name: channel.t[channel.t <= end] for name, channel in self.record.outputs.items()}
+
+    def predicted(self, values: Mapping[str, float], end: float) -> dict[str, np.ndarray]:
         """
-        Return what outputs should show at the samples of a window; raises what `run` raises.
+        Return what outputs should show at the samples until `end`; raises what `run` raises.
 
         What some last runs show is kept, so that sensors with other values need no other run.
         """
         early = max(0.0, *(-values.get(f'{name}.delay', 0.0) for name in self.record.outputs))
-        key = (window, early, *(each for each in values.items() if each[0] not in self._sensors),
-               *(initial or {}).items())
+        key = end, early, *(each for each in values.items() if each[0] not in self._sensors)
         if (kept := self._shown.pop(key, None)) is None:
-            run = self.run(values, window.begin, window.end, initial)
+            run = self.run(values, end)
             kept = run.scene.step, self._outputs_of(run)
             while self._shown and (1 + len(self._shown)) * len(run.t) * len(kept[1]) > _MAX_KEPT:
                 del self._shown[next(iter(self._shown))]
         self._shown[key] = kept  # the last one used is the last one
-        return _at_samples(*kept, values, window.begin, {
-            name: channel.t[is_within(channel.t, window.begin, window.end, self.until)]
-            for name, channel in self.record.outputs.items()})
+        return _at_samples(*kept, values, self._times(end))
 
     def __getstate__(self):
         return {**vars(self), '_shown': {}}
 
     def residuals(self, values: Mapping[str, float], deviations: Mapping[str, float],
-                  window: Window, initial: Mapping[str, float] | None = None) -> np.ndarray:
-        """Return the residuals of a window in standard deviations; raises what `run` raises."""
-        predicted = self.predicted(values, window, initial)
+                  end: float) -> np.ndarray:
+        """Return the residuals until `end` in standard deviations; raises what `run` raises."""
+        predicted = self.predicted(values, end)
         return np.concatenate([(predicted[name] - measured) / deviations[name]
-                               for name, measured in self.measurements(window).items()])
+                               for name, measured in self.measurements(end).items()])
 
-    def residuals_of_none(self, deviations: Mapping[str, float], window: Window) -> np.ndarray:
-        """Return large residuals, for a run of a window that fails."""
+    def residuals_of_none(self, deviations: Mapping[str, float], end: float) -> np.ndarray:
+        """Return large residuals until `end`, for a run that fails."""
         return np.concatenate([
             np.full(len(measured), max(DIVERGED, _FAR_OFF * np.ptp(measured) / deviations[name]))
-            for name, measured in self.measurements(window).items()])
+            for name, measured in self.measurements(end).items()])
 
-    def measurements(self, window: Window) -> dict[str, np.ndarray]:
-        """Return the measured samples of a window, by output."""
-        return {name: channel.values[is_within(channel.t, window.begin, window.end, self.until)]
+    def measurements(self, end: float) -> dict[str, np.ndarray]:
+        """Return the measured samples until `end`, by output."""
+        return {name: channel.values[channel.t <= end]
                 for name, channel in self.record.outputs.items()}
 
 
-def _at_samples(step, shown, values, begin, t):
-    """Return what sensors with these values show, at times by output, of a run that begins."""
+def _at_samples(step, shown, values, t):
+    """Return what sensors with these values show of a run, at times by output."""
     predicted = {}
     for name, ideal in shown.items():
         gain, bias, delay, lag = sensor_of(values, name)
         seen = _with_lag(ideal, lag / step)
-        predicted[name] = gain * _interpolate(t[name] - begin - delay, step, seen) + bias
+        predicted[name] = gain * _interpolate(t[name] - delay, step, seen) + bias
     return predicted
-
-
-def is_within(t, begin, end, until):
-    """Return which times are from `begin` to `end`; `end` itself counts only at `until`."""
-    return (t >= begin) & ((t <= end) if end == until else (t < end))
 
 
 def _with_lag(values, lag):
@@ -540,7 +459,7 @@ def covariance(jacobians: Sequence[np.ndarray],
     model lacks is in them, too, and each series counts as an autoregressive process, whose order
     minimises Schwarz's criterion (BIC). No combination of parameters is then taken to be more
     certain than with independent noise. The arguments are lists with an element for each series
-    (an output in a window): derivatives, (n_i, p), of the residuals, (n_i,), in standard
+    (an output of a record): derivatives, (n_i, p), of the residuals, (n_i,), in standard
     deviations.
     """
     whole = np.concatenate(jacobians)

@@ -82,7 +82,7 @@ class Errors:
     r_squared: float
     hold_out_rms: float         # NaN without a part that is held out
     hold_out_r_squared: float
-    residual_rms: float         # of the fit itself, whose windows have initial states of their own
+    residual_rms: float         # of the fit itself
     whiteness: float            # probability that white residuals of it are as correlated
 
 
@@ -306,7 +306,6 @@ class Fit(Prediction):
 
 _HOLD_OUT = Parameter('hold_out', 0.0, '', '', low=0.0, high=0.95)
 _STARTS = Parameter('starts', 1, '', '', low=1, high=1_000_000)
-_WINDOW = Parameter('window', 1.0, 's', '', low=0.0, open_low=True)
 _TIME = Parameter('time', 1.0, 's', '', low=0.0, open_low=True)
 
 
@@ -326,7 +325,7 @@ def _are_mappings(value):
          mapping=(_are_mappings, 'a path, values by name, or a list of these'))
 def fit(scene: SceneLike | None, record: RecordLike | Sequence[RecordLike], free: Sequence[str],
         bounds: Mapping[str, Sequence[float]] | None = None, hold_out: float = 0.0,
-        window: float | None = None, loss: str = 'linear',
+        loss: str = 'linear',
         mapping: str | Path | Mapping[str, Any] | Sequence[Any] | None = None,
         starts: int | None = None,
         hold_out_records: Sequence[RecordLike] = (),
@@ -356,10 +355,6 @@ def fit(scene: SceneLike | None, record: RecordLike | Sequence[RecordLike], free
         value to begin with, in place of that of the scene.
     hold_out : float
         Part of each record, at its end, that is not fitted but predicted, 0 to 0.95.
-    window : float, optional
-        Fit windows of about this length, each with an initial state of its own [s]. For arms
-        whose long runs depend too much on details, such as those of dry friction. What is held
-        out is predicted by one run from the beginning all the same.
     loss : str
         `linear`, or `soft_l1`, `huber` or `cauchy`, with which outliers weigh less.
     mapping : str, Path or dict, optional
@@ -405,7 +400,6 @@ def fit(scene: SceneLike | None, record: RecordLike | Sequence[RecordLike], free
 
     """
     hold_out = _HOLD_OUT.check(hold_out)
-    window = None if window is None else _WINDOW.check(window)
     if loss not in LOSSES:
         raise ParameterError(f'loss must be one of {", ".join(LOSSES)}, got {short(loss)}')
     starts = None if starts is None else _STARTS.check(starts)
@@ -420,7 +414,7 @@ def fit(scene: SceneLike | None, record: RecordLike | Sequence[RecordLike], free
 
     objective = Objective([
         Problem(scene=start, record=each, names=_names_for(each, measured, free),
-                bounds=dict(bounds or {}), until=(1.0 - hold_out) * each.duration, window=window)
+                bounds=dict(bounds or {}), until=(1.0 - hold_out) * each.duration)
         for each in measured], loss)
     others = [_held_out(start, each, free, measured, objective) for each in held]
     search, end = Search(objective, say), math.inf if time is None else begun + time
@@ -450,12 +444,11 @@ def fit(scene: SceneLike | None, record: RecordLike | Sequence[RecordLike], free
             [], 'what the residuals look like')
         phases.doubts[bool(search.stopped):bool(search.stopped)] = name_suspects(likely)
     first, *more = predictions
-    states, values = objective.states(search.x), objective.values(search.x, 0)
     result = Fit(
         record=first.record, errors=first.errors, run=first.run, predicted=first.predicted,
-        until=first.until, scene=objective.problems[0].scene_of(values, states[0]),
+        until=first.until, scene=objective.problems[0].scene_of(objective.values(search.x, 0)),
         estimates=estimates, correlation=intervals.correlation,
-        unidentified=intervals.unidentified(objective, estimates), white=intervals.white,
+        unidentified=intervals.unidentified(estimates), white=intervals.white,
         warnings=phases.doubts, seconds=seconds, starts=search.tried, others=search.others,
         more=more, posterior=intervals.posterior, suspects=likely, stopped=search.stopped)
     if phases.doubts:
@@ -502,16 +495,12 @@ class _Intervals(NamedTuple):
                     (name for name, edge in edges.items() if abs(at - edge) < _AT_BOUND), ''))
         return estimates
 
-    def unidentified(self, objective, estimates):
+    def unidentified(self, estimates):
         """Return the combinations of parameters that are not identified."""
         if self.posterior is None:
             return []
-        count, jacobian = len(objective.free), self.posterior.jacobian
-        # Project the states of windows out: what is left only the parameters can explain.
-        q, _ = np.linalg.qr(jacobian[:, count:])
-        own = jacobian[:, :count] - q @ (q.T @ jacobian[:, :count])
         lost = {name for name, each in estimates.items() if not each.identified}
-        return unidentified_combinations(own, [*estimates], lost)
+        return unidentified_combinations(self.posterior.jacobian, [*estimates], lost)
 
 
 def _find_intervals(search, phases, quick):
@@ -524,12 +513,11 @@ def _find_intervals(search, phases, quick):
                           [True] * count, {})
     if jumps:
         phases.doubts.append(f'the run depends on {", ".join(jumps)} in jumps, so the intervals '
-                             'may be too small: try a shorter window')
+                             'may be too small')
     residuals = objective.residuals(x)
     residuals *= objective.weights(residuals)
     spread, white = covariance(objective.split(jacobian), objective.split(residuals))
-    posterior, spread = Posterior(objective, x, jacobian, residuals, spread), spread[
-        :count, :count]
+    posterior = Posterior(objective, x, jacobian, residuals, spread)
     halves = NORMAL * np.sqrt(np.diag(spread))
     identified = [bool(half < (1.0 if free.log else max(1.0, abs(at))))
                   for free, at, half in zip(objective.free, x, halves)]
@@ -545,15 +533,13 @@ def _predict_all(search, others, phases):
     residuals: dict[tuple[int, str], list[np.ndarray]] = {}
     for (k, name, _), r in zip(objective.series(), objective.split(objective.residuals(x))):
         residuals.setdefault((k, name), []).append(objective.deviations[k][name] * r)
-    initial = dict(reversed([(k, state) for (k, _), state in zip(
-        objective.windows, objective.states(x))]))
     shared = {free.name: free.value(at) for free, at in zip(objective.free, x)
               if not free.is_own}
     predictions, problems = [], [*objective.problems, *others]
     for k, problem in enumerate(problems):
-        values = objective.values(x, k) if k in initial else {
+        values = objective.values(x, k) if k < len(objective.problems) else {
             free.name: shared[free.name] for free in problem.free}
-        prediction, told = _predict(problem, values, initial.get(k), {
+        prediction, told = _predict(problem, values, {
             name: residuals.get((k, name), []) for name in problem.record.outputs}, phases)
         predictions.append(prediction)
         phases.doubts += [f'{each} (record {k + 1})' if len(problems) > 1 else each
@@ -590,9 +576,8 @@ def _measure(objective):
     """Return how long a run of the records takes [s], and how many parameters it has."""
     begun = monotonic()
     for k, problem in enumerate(objective.problems):
-        problem.run(objective.values(objective.start, k), 0.0, problem.until)
-    return monotonic() - begun, max(
-        len(each.free) + len(each.windows[0].names) for each in objective.problems)
+        problem.run(objective.values(objective.start, k), problem.until)
+    return monotonic() - begun, max(len(each.free) for each in objective.problems)
 
 
 def _expect(run, columns, quick):
@@ -647,12 +632,12 @@ def _read(scene, record, mapping):
     return read_log(record, None if scene is None else load_scene(scene))
 
 
-def _predict(problem, values, initial, residuals, phases):
+def _predict(problem, values, residuals, phases):
     """Return the Prediction of a problem with these values, and what is doubtful of it."""
     doubts, predicted, errors = [], {}, {}
 
     def run_all(refined=lambda scene: scene):
-        run = problem.run(values, scene=refined(problem.scene_of(values, initial)))
+        run = problem.run(values, scene=refined(problem.scene_of(values)))
         return run, {name: found for name, (_, found) in problem.predictions(run, values).items()}
 
     run, predicted = phases.attempt('one run of the whole record is', run_all, (None, {}),

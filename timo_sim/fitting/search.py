@@ -104,8 +104,7 @@ class Search:
     def _run(self, starts):
         """Return x and others that fit as well."""
         objective = self.objective
-        in_windows = len(objective.start) > len(objective.free)
-        x, *others = [objective.start] if in_windows else self._try_starts(starts)
+        x, *others = self._try_starts(starts)
         for number in range(1, _MAX_SEARCHES + 1):
             x = self._solve(_LOOSE, x).x
             change = objective.estimate_deviations(x)
@@ -116,7 +115,7 @@ class Search:
         self._tell('last search, with tight tolerances')
         minima = [self._solve(_TIGHT, each) for each in [x, *others]]
         best = min(minima, key=lambda each: each.cost)
-        if not in_windows and not objective.is_white(best.x) and not self._is_doubtful(best.x, 1):
+        if not objective.is_white(best.x) and not self._is_doubtful(best.x, 1):
             # A first part may have led away from a guess that is good.
             again = self._solve(_TIGHT, self._solve(_LOOSE, objective.start).x)
             self._tell(f'from the first guess without a first part: {again.cost / best.cost:.3g} '
@@ -218,10 +217,9 @@ class Search:
 
     def derivatives(self) -> tuple[np.ndarray, list[str]]:
         """
-        Return the weighted derivatives of all residuals at the end, (n, p + k), and jumps.
+        Return the weighted derivatives of all residuals at the end, (n, p), and jumps.
 
-        There are k initial states of windows; `jumps` names parameters on which runs depend in
-        jumps.
+        `jumps` names parameters on which runs depend in jumps.
         """
         objective, x = self.objective, self.x
         jacobian, wide = (objective.jacobian(x, step) for step in (CENTRAL, _WIDE))

@@ -85,14 +85,14 @@ class _ArmOnShaft:
             self._seen = Problem(scene, record, ['arm.length'], {}, problem.until)
             self._seen.deadline = problem.deadline
             self.driven = True
-        measured = self._seen.measurements(self._seen.windows[0])
+        measured = self._seen.measurements(self._seen.until)
         self._measured = {name: each for name, each in measured.items()
                           if not self.driven or name not in shown}
 
     @lru_cache(maxsize=1)
     def _run(self, arm):
         """Return the Run for an arm, pairs of names and values, and the terms of its balance."""
-        run = self._seen.run(dict(arm), 0.0, self._seen.until)
+        run = self._seen.run(dict(arm), self._seen.until)
         some, speed = slice(1, None, _EVERY), run.shaft_velocity
         acceleration = np.gradient(speed, run.t)[some]
         loads = run.loads()[some]
@@ -108,7 +108,7 @@ class _ArmOnShaft:
         run, terms = self._run(tuple(
             (name, value) for name, value in values.items() if not self.driven or not (
                 name.startswith(('motor.', 'initial.')) or name.rpartition('.')[2] in SENSOR)))
-        predicted = self._seen.predictions(run, values, 0.0, self._seen.until)
+        predicted = self._seen.predictions(run, values, self._seen.until)
         scene = self._free.scene_of(values)
         applied = loads_of(self._free.record, scene, values).stages(
             0, len(run.t) - 1, run.scene.step)[::_EVERY, AFTER, TORQUE]

@@ -23,7 +23,7 @@ from scipy.optimize import least_squares
 from scipy.signal import bilinear, lfilter
 
 from timo_sim.fitting.objective import Objective
-from timo_sim.fitting.problem import DIVERGED, is_within, limit_inputs, WHITE, whiteness
+from timo_sim.fitting.problem import DIVERGED, limit_inputs, WHITE, whiteness
 from timo_sim.model.differences import differences
 from timo_sim.model.layout import INPUTS
 from timo_sim.runs.modes import frequencies_in_motion
@@ -98,8 +98,7 @@ def suspects(objective: Objective, x: np.ndarray, jacobian: np.ndarray,
     left = residuals - free @ (free.T @ residuals)
 
     def is_white(rest):
-        return all(whiteness(each) >= WHITE for each, _ in zip(
-            objective.split(rest), objective.series()))
+        return all(whiteness(each) >= WHITE for each in objective.split(rest))
 
     def explain(columns, low=-np.inf):
         """Return share, whether the rest is white, and the factors of the columns."""
@@ -113,7 +112,7 @@ def suspects(objective: Objective, x: np.ndarray, jacobian: np.ndarray,
 
     share, white, frequency = max(
         ((*explain(columns)[:2], frequency) for frequency, columns
-         in _resonances(objective, x, len(left))), default=(0.0, False, 0.0))
+         in _resonances(objective, x)), default=(0.0, False, 0.0))
     found = [*_signs(objective), Suspect(
         f'a resonance at {frequency:.3g} Hz, which no mode of the model has', share, white,
         'look for what vibrates beside the arm, and try other first guesses')]
@@ -200,9 +199,8 @@ def _signs(objective):
 def _effects(objective: Objective, x: np.ndarray) -> Iterator[_Effect]:
     """Yield the effects that a scene lacks."""
     problem, both = objective.problems[0], -np.inf
-    window, state = problem.windows[0], objective.states(x)[0]
     values, step = objective.values(x, 0), problem.scene.step
-    run = problem.run(values, window.begin, window.end, state)
+    run = problem.run(values, problem.until)
     own: Mapping[str, Any] = run.scene.values
     rates = run.values[:, run.values.shape[1] // 2:][:, :3]
     speeds, accelerations = (np.sqrt(np.mean(each**2, axis=0)) for each in (
@@ -259,7 +257,7 @@ def _effects(objective: Objective, x: np.ndarray) -> Iterator[_Effect]:
             yield _Effect(f'an offset of {name}', f'free {name}.bias, about {{:.2g}}',
                           lambda _, size, name=f'{name}.bias': {name: size},
                           [[np.std(channel.values)]], both)
-    if own['motor.shaft'] == 'free' and not window.names and 'initial.shaft' not in values:
+    if own['motor.shaft'] == 'free' and 'initial.shaft' not in values:
         yield _Effect('another angle of the shaft at the beginning',
                       f'free initial.shaft, about {own["initial.shaft"]:.2g} + {{:.2g}} rad',
                       lambda own, size: {'initial.shaft': own['initial.shaft'] + size},
@@ -292,8 +290,8 @@ def _gear(own, compliance, damping=0.1, inertias=1.0):
     return changes
 
 
-def _resonances(objective, x, size):
-    """Yield frequencies beside those of the model, and columns, (size,), of such a resonance."""
+def _resonances(objective, x):
+    """Yield frequencies beside those of the model, and columns, (n,), of such a resonance."""
     problem = objective.problems[0]
     try:
         own = frequencies_in_motion(problem.scene_of(objective.values(x, 0)))
@@ -310,14 +308,13 @@ def _resonances(objective, x, size):
         for which in ([omega**2], [omega, 0.0]):  # its position and its speed
             system = bilinear(which, [1.0, 2.0 * _DAMPING * omega, omega**2], 1.0 / step)
             parts = []
-            for k, window in objective.windows:
-                record, until = objective.problems[k].record, objective.problems[k].until
+            for record, until in ((each.record, each.until) for each in objective.problems):
                 t = step * np.arange(round(record.duration / step) + 1)
                 shown = sum(lfilter(*system, np.interp(t, each.t, each.values) - each.values[0])
                             for each in record.inputs.values())
-                parts += [np.interp(each.t[is_within(each.t, window.begin, window.end, until)],
-                                    t, shown) for each in record.outputs.values()]
+                parts += [np.interp(each.t[each.t <= until], t, shown)
+                          for each in record.outputs.values()]
             columns += [np.concatenate([
                 part * (name == each) for part, (_, each, _) in zip(parts, series)])
                 for name in problem.record.outputs]
-        yield frequency, [np.pad(column, (0, size - len(column))) for column in columns]
+        yield frequency, columns

@@ -58,7 +58,8 @@ class SimNode(ParameterNode):
         self._step = scene.step
         steps_each = steps_between_messages(values, scene.step)
         sync_steps(values, scene.step)
-        self._simulator = (EstimatingSimulator if values['estimate_error'] else Simulator)(scene)
+        self._simulator: Any = (
+            EstimatingSimulator if values['estimate_error'] else Simulator)(scene)
         self._simulator.warm_up(tell, messages=True)
         if doubts := find_implausible(scene.values):
             self.get_logger().warning(doubts)
