@@ -289,9 +289,3 @@ def test_entities_are_listed_by_name_and_category(run):
     for name in ('GetEntityInfo', 'GetEntityState'):
         assert simulator.call(name, entity='base') == (
             NOT_FOUND, 'entity must be one of carrier, end_effector, got base')
-    for name in ('LoadWorld', 'UnloadWorld', 'GetCurrentWorld', 'GetAvailableWorlds',
-                 'SetEntityState', 'SpawnEntity', 'SpawnEntities', 'DeleteEntity',
-                 'GetSpawnables', 'SetEntityInfo', 'GetEntityBounds', 'GetNamedPoses',
-                 'GetNamedPoseBounds'):
-        code, text = simulator.call(name)
-        assert code == UNSUPPORTED and text

@@ -4,7 +4,8 @@
 """
 Services and action of simulation_interfaces, versions 1.5 (Jazzy) to 2.1.
 
-What a service cannot do is refused by a result code of the standard and a text.
+What a service cannot do is refused by a result code of the standard and a text. Services of which
+nothing can be done are not there.
 """
 
 import asyncio
@@ -25,8 +26,8 @@ from timo_sim.model.layout import place
 from timo_sim.ros.loop import StateError
 from timo_sim.version import __version__
 
-# The features of each service that is done, by its type.
-_DONE = {
+# The features of each service, by its type.
+_SERVICES = {
     'GetSimulatorFeatures': (),
     'GetSimulationState': ('SIMULATION_STATE_GETTING',),
     'SetSimulationState': ('SIMULATION_STATE_SETTING', 'SIMULATION_STATE_PAUSE'),
@@ -37,16 +38,6 @@ _DONE = {
     'GetEntityInfo': ('ENTITY_INFO_GETTING',),
     'GetEntityState': ('ENTITY_STATE_GETTING',),
     'GetEntitiesStates': (),
-}
-# Why the others are refused.
-_FIXED, _WORLD = 'the entities are those of the scene', 'the scene is that of the start'
-_REFUSED = {
-    **dict.fromkeys(('LoadWorld', 'UnloadWorld', 'GetCurrentWorld', 'GetAvailableWorlds'), _WORLD),
-    **dict.fromkeys(('SpawnEntity', 'SpawnEntities', 'DeleteEntity', 'GetSpawnables'), _FIXED),
-    'SetEntityInfo': _FIXED,
-    'SetEntityState': 'the motion goes on from what it is; commands and a reset change it',
-    'GetEntityBounds': 'entities have no bounds: nothing collides',
-    **dict.fromkeys(('GetNamedPoses', 'GetNamedPoseBounds'), 'no poses have names'),
 }
 _CLOCK = 'the clock goes on at a reset'
 _ENTITIES = {
@@ -69,11 +60,10 @@ class Interfaces:
     def __init__(self, node: Any) -> None:
         self._node = node
         self._stopped_at: int | None = None  # step at which the simulation was stopped
-        for name in (*_DONE, *_REFUSED):
+        for name in _SERVICES:
             service = re.sub('(?<=.)([A-Z])', r'_\1', name).lower()
-            answer = (partial(self._answer, getattr(self, f'_{service}')) if name in _DONE else
-                      partial(self._answer, partial(self._refuse, _REFUSED[name])))
-            node.create_service(getattr(srv, name), f'~/{service}', answer)
+            node.create_service(getattr(srv, name), f'~/{service}',
+                                partial(self._answer, getattr(self, f'_{service}')))
         self._action = ActionServer(
             node, SimulateSteps, '~/simulate_steps', self._simulate,
             cancel_callback=lambda goal: CancelResponse.ACCEPT)
@@ -92,14 +82,11 @@ class Interfaces:
             response.result = Result(result=code, error_message=str(reason))
         return response
 
-    def _refuse(self, reason, request, response):
-        raise _RefusalError(reason)
-
     # The simulation.
 
     def _get_simulator_features(self, request, response):
         response.features.features = [getattr(SimulatorFeatures, feature)
-                                      for features in _DONE.values() for feature in features]
+                                      for features in _SERVICES.values() for feature in features]
         response.features.custom_info = f'timo_sim {__version__}; {_CLOCK}'
 
     def _state(self):
