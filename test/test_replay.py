@@ -399,8 +399,8 @@ def test_another_time_step_is_taken_if_it_fits(log, tmp_path):
 
 
 def test_a_run_that_diverges_is_code_1_and_says_when(log, tmp_path):
-    text = call('replay', log, '--formulation', 'newton', '--set', 'initial.shaft_velocity=60',
-                '--set', 'model.modes=5', '-o', tmp_path / 'new.mcap', code=1)
+    text = call('replay', log, '--set', 'model.formulation=newton', 'model.modes=5',
+                'initial.shaft_velocity=60', '-o', tmp_path / 'new.mcap', code=1)
     assert 'diverges after t' in text and Recording(tmp_path / 'new.mcap').topics
 
 

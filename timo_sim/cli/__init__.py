@@ -354,7 +354,6 @@ def recover(file: str, output: str | None) -> None:
 @main.command()
 @click.argument('file', type=click.Path())
 @_settings
-@click.option('--formulation', metavar='NAME', help='Short for --set model.formulation=NAME.')
 @click.option('--scene', type=click.Path(),
               help='Parameter file to use instead of the recorded scene; a bag without '
                    '~/scene needs it.')
@@ -366,8 +365,8 @@ def recover(file: str, output: str | None) -> None:
 @click.option('--duration', type=float,
               help='Sim time of the end [s]; by default that of the last message.')
 @_node
-def replay(file: str, settings: tuple[str, ...], formulation: str | None, scene: str | None,
-           output: str | None, start: float, duration: float | None, node: str | None) -> None:
+def replay(file: str, settings: tuple[str, ...], scene: str | None, output: str | None,
+           start: float, duration: float | None, node: str | None) -> None:
     r"""
     Run the commands and resets of FILE again, at full speed, and compare.
 
@@ -377,7 +376,7 @@ def replay(file: str, settings: tuple[str, ...], formulation: str | None, scene:
 
     \b
         timo_sim replay run.mcap
-        timo_sim replay run.mcap --set model.modes=5 --formulation newton
+        timo_sim replay run.mcap --set model.modes=5 model.formulation=newton
 
     A bag without ~/scene needs the scene. Its commands act from the first time step at or after
     their stamp. Stamps are sim time if the bag has one of the node's topics with sim time in its
@@ -391,8 +390,6 @@ def replay(file: str, settings: tuple[str, ...], formulation: str | None, scene:
     """
     from timo_sim.runs.replay import replay
     changes = parse_settings(settings)
-    if formulation:
-        changes['model.formulation'] = formulation
     if not replay(file, changes, output, scene, start, duration, node, click.echo):
         sys.exit(1)
 
