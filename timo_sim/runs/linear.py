@@ -105,12 +105,6 @@ class LinearModel:
         values[..., self.places] += x
         return Motion(values)
 
-    def state_space(self) -> Any:
-        """Return the model as a `scipy.signal.StateSpace`."""
-        from scipy.signal import StateSpace
-        time = {} if self.dt is None else {'dt': self.dt}
-        return StateSpace(self.A, self.B, self.C, self.D, **time)
-
     def to_control(self) -> Any:
         """Return the model as a `control.StateSpace` of python-control, names included."""
         with optional():
