@@ -166,12 +166,9 @@ class Objective:
 
     def estimate_deviations(self, x: np.ndarray) -> float:
         """Estimate the standard deviations of the sensors; return the largest relative change."""
-        of_sensor: dict[tuple[int, str], list[np.ndarray]] = {}
-        for (k, name, _), r in zip(self.series(), self.split(self.residuals(x))):
-            of_sensor.setdefault((k, name), []).append(r)
         change = 0.0
-        for (k, name), parts in of_sensor.items():
-            r, deviation = np.concatenate(parts), self.deviations[k][name]
+        for (k, name, _), r in zip(self.series(), self.split(self.residuals(x))):
+            deviation = self.deviations[k][name]
             size = math.sqrt(np.mean(r**2)) if self.loss == 'linear' else (
                 _MAD * float(np.median(np.abs(r))))
             known = self.problems[k].record.outputs[name].noise

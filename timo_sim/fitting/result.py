@@ -530,17 +530,16 @@ def _find_intervals(search, phases, quick):
 def _predict_all(search, others, phases):
     """Return the Predictions of the records of a search, and of other problems."""
     objective, x = search.objective, search.x
-    residuals: dict[tuple[int, str], list[np.ndarray]] = {}
-    for (k, name, _), r in zip(objective.series(), objective.split(objective.residuals(x))):
-        residuals.setdefault((k, name), []).append(objective.deviations[k][name] * r)
+    residuals = {(k, name): objective.deviations[k][name] * r for (k, name, _), r in zip(
+        objective.series(), objective.split(objective.residuals(x)))}
     shared = {free.name: free.value(at) for free, at in zip(objective.free, x)
               if not free.is_own}
     predictions, problems = [], [*objective.problems, *others]
     for k, problem in enumerate(problems):
         values = objective.values(x, k) if k < len(objective.problems) else {
             free.name: shared[free.name] for free in problem.free}
-        prediction, told = _predict(problem, values, {
-            name: residuals.get((k, name), []) for name in problem.record.outputs}, phases)
+        own = {name: residuals.get((k, name), np.empty(0)) for name in problem.record.outputs}
+        prediction, told = _predict(problem, values, own, phases)
         predictions.append(prediction)
         phases.doubts += [f'{each} (record {k + 1})' if len(problems) > 1 else each
                           for each in told]
@@ -650,11 +649,10 @@ def _predict(problem, values, residuals, phases):
             parts += [float(np.sqrt(np.mean((predicted[name][part] - measured)**2))),
                       r_squared(measured, predicted[name][part])] if enough else [math.nan] * 2
         own = residuals[name]
-        size = math.sqrt(np.mean(np.concatenate(own)**2)) if own else math.nan
         errors[name] = Errors(
             rms=parts[0], r_squared=parts[1], hold_out_rms=parts[2], hold_out_r_squared=parts[3],
-            residual_rms=size,
-            whiteness=min([whiteness(each) for each in own if len(each) > 4], default=math.nan))
+            residual_rms=math.sqrt(np.mean(own**2)) if len(own) else math.nan,
+            whiteness=whiteness(own) if len(own) > 4 else math.nan)
         if channel.noise and errors[name].residual_rms > _MAX_NOISE_RATIO * channel.noise:
             doubts.append(
                 f'{name} is off by {errors[name].residual_rms / channel.noise:.1f} times its '
