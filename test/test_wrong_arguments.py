@@ -43,7 +43,7 @@ def calls(folder):
     yield timo_sim.load_scene, {'source': 'paper', 'overrides': {}}, {
         'source': '{}', 'overrides': 'None {}'}
     yield scene.vary, {'overrides': {}}, {'overrides': '{}'}
-    yield scene.build, {'basis': None, 'tip': None}, {'basis': none, 'tip': none}
+    yield scene.build, {'tip': None, 'first': None}, {'tip': none, 'first': none}
     yield scene.at, {'run': run, 't': 0.01}, {'t': '0'}
     yield scene.initial_motion, {'model': None}, {'model': none}
     yield scene.modal, {'name': 'initial.deflection'}, {}

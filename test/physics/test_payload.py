@@ -117,7 +117,7 @@ def test_the_energy_lost_in_an_impact_is_that_of_two_bodies():
         lost = 0.5 * (2.0 / 3.0 * velocity @ velocity + 0.05 * 0.1 / 0.15 * spin**2)
         assert run.stats['impact_loss_J'] == pytest.approx(lost, rel=1e-6)
         motions = run.values[400:402]
-        after = scene.build(scene.manipulator, (3.0, 0.15)).energy(motions[1:])[0]
+        after = scene.build((3.0, 0.15)).energy(motions[1:])[0]
         torque = 60.0 * (motions[1, 2] - motions[0, 2])  # its work in the step of the impact
         excess.append(scene.build().energy(motions[:1])[0] + torque - after - lost)
     assert 0.4 < excess[1] / excess[0] < 0.6 and 0.4 < excess[2] / excess[1] < 0.6
@@ -245,7 +245,7 @@ def test_modes_of_another_end_effector(formulation, static, bound):
     """Natural frequencies with a load that the five modes were not made for."""
     values = {'model.formulation': formulation, 'carrier.held': 'both', 'motor.shaft': 'locked'}
     model = timo_sim.load_scene({}, {
-        **values, 'model.modes': 5, 'model.static_modes': static}).build(None, (4.0, 0.5))
+        **values, 'model.modes': 5, 'model.static_modes': static}).build((4.0, 0.5))
     truth = timo_sim.load_scene({}, {**values, 'end_effector.mass': 4.0}).build().modes.omega
     half = len(model.linear) // 2
     square = -model.linear[:half, half:] @ model.linear[half:, :half]

@@ -42,6 +42,7 @@ from timo_sim.topics.outputs import Output, outputs
 # Phase of an axial vibration in a step above which a scene has it slowed down [rad]: bent arms
 # diverged from 0.88 on.
 _LEFT = 0.7
+_TIP: Any = lambda tip: tip[0] >= 0.0 <= tip[1] and len(tip) == 2, 'two numbers >= 0'
 _MODAL = 'initial.modal_coordinates', 'initial.modal_rates'
 _SCENE_NAMES = [name for name, parameter in PARAMETERS.items() if parameter.scope == SCENE]
 
@@ -102,21 +103,20 @@ class Scene:
         """The topics that carry its motion."""
         return outputs(self.modal_count, self.manipulator.gear is not None)
 
-    @checked(basis=(lambda basis: isinstance(basis, Manipulator), 'a Manipulator'), tip=(
-        lambda tip: tip[0] >= 0.0 <= tip[1] and len(tip) == 2, 'two numbers >= 0'))
-    def build(self, basis: Manipulator | None = None,
-              tip: tuple[float, float] | None = None) -> Formulation:
+    @checked(tip=_TIP, first=_TIP)
+    def build(self, tip: tuple[float, float] | None = None,
+              first: tuple[float, float] | None = None) -> Formulation:
         """
         Return the scene's Formulation of the equations of motion; it is made once and kept.
 
-        `basis` is the same arm with another end effector, whose modes are assumed; `tip` are mass
-        [kg] and inertia [kg m2] at the tip, if not those of the end effector.
+        `tip` are mass [kg] and inertia [kg m2] at the tip, `first` those with which the modes are
+        computed; by default those of the end effector.
         """
-        body = self.manipulator if tip is None else replace(
-            self.manipulator, end_effector_mass=tip[0], end_effector_inertia=tip[1])
-        if body == self.manipulator == (basis or body):
-            return self._own_model
-        return self._model(self._damping, body, basis or self.manipulator)
+        own = self.manipulator
+        body, basis = (own if each is None else replace(
+            own, end_effector_mass=each[0], end_effector_inertia=each[1]) for each in (tip, first))
+        return self._own_model if body == own == basis else self._model(
+            self._damping, body, basis)
 
     def _model(self, damping, body, basis=None):
         values = self.values

@@ -411,7 +411,7 @@ class Batch(Stateful):
             while (tip.changes < len(scene.payloads) and self._origin[number]
                    + scene.payloads[tip.changes][0] <= now and not self.failed[number]):
                 _, *load = scene.payloads[tip.changes]
-                model = scene.build(scene.manipulator, (load[0], load[1]))
+                model = scene.build((load[0], load[1]))
                 tip, motion = tip.replaced((load[0], load[1]), scene, model, lanes.motion[place])
                 tip = tip._replace(changes=tip.changes + 1)
                 self._set_model(number, model)

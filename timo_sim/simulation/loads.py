@@ -217,7 +217,7 @@ def pieces(scene: Scene, steps: np.ndarray,
                    for side in ('left', 'right'))
     bounds = [0, *(last - (last - first > 1)), len(steps)]
     tips = [None, *((mass, inertia) for _, mass, inertia in payloads)]
-    return [(scene.build(scene.manipulator, tip), slice(first, last))
+    return [(scene.build(tip), slice(first, last))
             for tip, first, last in zip(tips, bounds, bounds[1:]) if first < last]
 
 

@@ -116,7 +116,8 @@ class Simulator(Stateful, PointsOfArm):
 
     def __init__(self, scene: SceneLike) -> None:
         self.steps, scene = 0, load_scene(scene)
-        self._first_body, self.tip_load = scene.manipulator, TipLoad(tip_of(scene))
+        self._first_tip = tip_of(scene)
+        self.tip_load = TipLoad(self._first_tip)
         self._take(scene, scene.build())
         self._ends = self.integration.samples(1, 1)[1:]  # room for the samples of `step`
         self.reset()
@@ -187,7 +188,7 @@ class Simulator(Stateful, PointsOfArm):
         with self._lock:
             tip, self.tip_load = self.tip_load.tip, TipLoad(tip_of(self.scene))
             if tip != self.tip_load.tip:
-                self._take(self.scene, self._model_with(self.scene, self.tip_load.tip))
+                self._take(self.scene, self.scene.build(self.tip_load.tip, self._first_tip))
             motion = self.scene.initial_motion(self.model)
             self._state = self.model.state(motion)
             self.integration.reset(motion)
@@ -220,17 +221,11 @@ class Simulator(Stateful, PointsOfArm):
     def _continue_with(self, scene, tip):
         # Go on with another scene, and a mass and inertia at the tip.
         earlier, motion = self.integration, self.motion.values
-        self._take(scene, self._model_with(scene, tip))
+        self._take(scene, scene.build(tip, self._first_tip))
         self.integration.continue_from(earlier)
         if tip != self.tip_load.tip:
             self.tip_load, motion = self.tip_load.replaced(tip, scene, self.model, motion)
             self._state = self.model.state(motion)
-
-    def _model_with(self, scene, tip):
-        # The formulation of a scene with a mass and inertia at the tip, in the first modes.
-        first = self._first_body
-        return scene.build(replace(scene.manipulator, end_effector_mass=first.end_effector_mass,
-                                   end_effector_inertia=first.end_effector_inertia), tip)
 
     @checked(tell=FUNCTION, messages=FLAG)
     def warm_up(self, tell: Callable[[str], object] | None = None, messages: bool = False) -> None:
