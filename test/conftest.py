@@ -100,17 +100,16 @@ def pytest_ignore_collect(collection_path, config):
 
 
 def _asks_for_browsers(config):
-    return any(Path(config.invocation_params.dir, arg).is_relative_to(BROWSER)
-               for arg in config.args)
+    return any('browser' in arg for arg in config.args)
 
 
-def pytest_terminal_summary(terminalreporter, config):
+def pytest_terminal_summary(terminalreporter):
     """Count the files that cannot run here in the last line, with the packages they need."""
     left_out = {}
     if collect_ignore:
         packages = ', '.join(dict.fromkeys(NEED[path] for path in collect_ignore))
         left_out[f'left out for want of {packages}'] = collect_ignore
-    if not _asks_for_browsers(config):
+    if not _asks_for_browsers(terminalreporter.config):
         left_out['left to make browser'] = [path.name for path in BROWSER.glob('test_*.py')]
     for reason, paths in left_out.items():
         terminalreporter.stats[reason] = [

@@ -562,6 +562,6 @@ def library(simulators: list[Any], interface: Interface, target: str, name: str,
     for function in module.functions:
         if not function.is_declaration and not function.name.startswith(f'{name}_'):
             function.linkage = 'internal'
-    return Library(target_machine.emit_object(module), body.size,
-                   sum(model.saved for model in models), simulators[0].model.size, models,
-                   body.symbols)
+    return Library(content=target_machine.emit_object(module), size=body.size,
+                   saved=sum(model.saved for model in models), motion=simulators[0].model.size,
+                   models=models, constants=body.symbols)

@@ -27,14 +27,14 @@ import zlib
 import numpy as np
 
 from timo_sim.control.shaping import shaper
-from timo_sim.export.constants import Interface, interface_of, refuse
+from timo_sim.export.constants import interface_of, refuse
 from timo_sim.export.library import library
 from timo_sim.runs.linear import linearize
 from timo_sim.runs.modes import modes
 from timo_sim.scene.files import check_target, whole_file
 from timo_sim.scene.parameters import checked, FLAG, FUNCTION, ParameterError, PATH
 from timo_sim.scene.scene import load_scene, Scene, scene_from, SceneLike
-from timo_sim.simulation.finer import refine
+from timo_sim.simulation.finer import EstimatingSimulator
 from timo_sim.simulation.simulator import Simulator
 from timo_sim.simulation.warnings import inaccurate, MOST_APART
 from timo_sim.version import __version__
@@ -113,7 +113,7 @@ def link_wasm(content: bytes) -> bytes:
 def _scene(name: str, scene: Scene, estimate: bool) -> dict[str, Any]:
     """Return what the page knows of a scene."""
     interface = interface_of(scene, estimate)
-    made = library(_simulators(Simulator(scene), interface), interface, TARGET, 'arm', False)
+    made = library(_parts(_simulator(scene, estimate)), interface, TARGET, 'arm', False)
     tables, sliders, loops = _stations(scene, interface, made)
     values, body, (along, _, meant) = scene.values, body_of(scene), (
         inaccurate(scene, 1.0, 0.0) or '').partition('1 m')
@@ -135,9 +135,13 @@ def _scene(name: str, scene: Scene, estimate: bool) -> dict[str, Any]:
         'about': repr(scene).partition(': ')[2][:-1]}
 
 
-def _simulators(simulator: Simulator, interface: Interface) -> list[Simulator]:
-    return [simulator, *(Simulator(refine(simulator.scene, parts))
-                         for parts in [interface.parts] if parts)]
+def _simulator(scene: Scene, estimate: bool) -> Simulator:
+    return (EstimatingSimulator if estimate else Simulator)(scene)
+
+
+def _parts(simulator: Simulator) -> list[Simulator]:
+    """Return a simulator and the finer one that it may have."""
+    return [simulator, *filter(None, [getattr(simulator, 'finer', None)])]
 
 
 def _deflated(content: bytes) -> str:
@@ -152,7 +156,8 @@ def _stations(scene, interface, made):
     the sliders that choose them, each with its values and the number of each arm, 0 is the
     scene's own; and the closed loops of all arms by number.
     """
-    own = np.frombuffer(made.constants_of(_simulators(Simulator(scene), interface), interface),
+    estimate = interface.parts > 0
+    own = np.frombuffer(made.constants_of(_parts(_simulator(scene, estimate)), interface),
                         np.uint8)
     tables, sliders, loops = [], [], [_loop(scene)]
     for label, unit, shown, changes in _variations(scene):
@@ -163,13 +168,14 @@ def _stations(scene, interface, made):
                 continue
             try:
                 other = scene_from(scene.vary(change).values, scene.static)
-                simulators = _simulators(Simulator(scene), interface)
-                if label == 'stiffness':  # its modes have the same shapes
-                    simulators = _simulators(Simulator(other), interface)
-                else:
-                    for each, changed in zip(simulators, _scenes(other, interface)):
-                        each.change(changed)
-                constants = made.constants_of(simulators, interface)
+                if interface_of(other, estimate).parts != interface.parts:
+                    continue
+                # Modes of another stiffness have the same shapes; with another mass the first ones
+                # stay.
+                simulator = _simulator(other if label == 'stiffness' else scene, estimate)
+                if label != 'stiffness':
+                    simulator.change(other)
+                constants = made.constants_of(_parts(simulator), interface)
             except (ParameterError, ValueError):  # not of this arm, or of other sizes
                 continue
             tables.append(np.frombuffer(constants, np.uint8) ^ own)
@@ -178,10 +184,6 @@ def _stations(scene, interface, made):
         if len(chosen) > 1:
             sliders.append({'label': label, 'unit': unit, 'stations': chosen})
     return b''.join(each.tobytes() for each in tables), sliders, loops
-
-
-def _scenes(scene, interface):
-    return [scene, *(refine(scene, parts) for parts in [interface.parts] if parts)]
 
 
 def _variations(scene):
