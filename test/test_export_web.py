@@ -102,3 +102,9 @@ def test_sliders_of_a_page_choose_other_arms(tmp_path):
         assert rows[numbers[label][value]] == pytest.approx(wanted, abs=1e-12)
         assert np.abs(np.subtract(wanted, rows[0])).max() > 1e-4
     assert len(rows) == 13 and data['loops'][0]['frequency'] > 1.0
+
+
+def test_a_linker_that_is_missing_is_named(tmp_path, monkeypatch):
+    monkeypatch.setenv('PATH', '')
+    with pytest.raises(OSError, match='apt-get install lld'):
+        export_web({'paper': 'paper'}, tmp_path / 'arm.html')

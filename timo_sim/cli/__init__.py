@@ -267,8 +267,10 @@ def export_web(scenes: tuple[str, ...], settings: tuple[str, ...], output: str,
     """
     from timo_sim.export.web import export_web
     from timo_sim.scene.scene import load_scene
-    changes = parse_settings(settings)
-    click.echo(export_web({Path(each).stem: load_scene(each, changes) for each in scenes},
+    changes, names = parse_settings(settings), [Path(each).stem for each in scenes]
+    if len({*names}) < len(names):
+        names = [*scenes]
+    click.echo(export_web({name: load_scene(each, changes) for name, each in zip(names, scenes)},
                           output, estimate, lambda text: click.echo(text, err=True)))
 
 
