@@ -96,7 +96,8 @@ def _try_it(app, page, text):
     except OSError as error:
         print(f'the site has a picture in place of the page to try: {error}')
         return
-    frame = '<iframe src="arm.html" style="width: 100%; height: 1150px; border: 0"></iframe>'
+    frame = ('<iframe src="arm.html" style="width: 100%; height: 1150px; border: 0"></iframe>\n'
+             '<p><a href="arm.html">The page alone</a></p>')
     text[0] = re.sub(r'^!\[.*$', f'```{{raw}} html\n{frame}\n```', text[0], flags=re.MULTILINE)
 
 

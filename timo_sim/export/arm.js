@@ -180,6 +180,7 @@ function build() {
                         value => figure(manual[name] = value / 50 * most));
     made.id = name;
   }
+  byId('keys-of-carrier').hidden = !(scene.ranges.force_x || scene.ranges.force_y);
   byId('of-scene').innerHTML = scene.loads.length ? '<label class="check">' +
     '<input type="checkbox" id="loads" checked>the loads of the scene act, too</label>' : '';
   if (scene.loads.length)
@@ -217,8 +218,7 @@ function build() {
     row.className = 'row';
     row.title = meaning;
     row.innerHTML = '<span></span><input type="number" min="0" step="any" placeholder="none">';
-    row.children[0].textContent = name.replace(/^(motor|carrier)_(dc_)?/, '$1 ')
-      .replace('carrier force', 'force').replace('motor ', '').replace('_limit', '')
+    row.children[0].textContent = name.replace(/^(motor|carrier)_(dc_)?/, '').replace('_limit', '')
       .replaceAll('_', ' ');
     row.children[0].insertAdjacentHTML('beforeend', ` <small>${unit}</small>`);
     const input = row.children[1], now = arm.limitOf(number);
@@ -433,7 +433,8 @@ function drawPlane() {
   if (gravity[0] || gravity[1]) {
     const size = 34 / Math.hypot(...gravity);
     context.lineWidth = 1.5;
-    arrow(context, width - 30, 34 - 0.5 * size * -gravity[1] + 0, gravity[0] * size, -gravity[1] * size);
+    arrow(context, width - 30 - 0.5 * size * gravity[0], 34 + 0.5 * size * gravity[1],
+          size * gravity[0], -size * gravity[1]);
     context.fillText('g', width - 20, 40);
   }
 
