@@ -55,7 +55,7 @@ def steps(_):
                                           capture_output=True).stdout)
     return targets([
         (f'a step of the paper, N = 3, {kind}', f'{GOALS[kind]:g} us' if kind in GOALS else '',
-         f'{time:.2g} us', time <= GOALS[kind] if kind in GOALS else None, '')
+         f'{time:.3g} us', time <= GOALS[kind] if kind in GOALS else None, '')
         for kind, time in zip(KINDS, found)])
 
 

@@ -193,6 +193,8 @@ def _variations(scene):
         scene.build().arm_mass * factor for factor in _FRACTIONS]
     yield 'mass at the tip', 'kg', shown, [
         None if value == mass else {'end_effector.mass': value} for value in shown]
+    if not scene.modal_count:  # it does not bend
+        return
     ratios = np.ravel(values['arm.damping_ratio']).tolist()
     shown = [ratios[0] * factor for factor in (0.0, *_FACTORS[1:])] if any(ratios) else [*_DAMPING]
     yield 'damping ratio', '', shown, [
