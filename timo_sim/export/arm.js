@@ -282,9 +282,9 @@ function command() {
     const most = 0.1 * scene.body.length * ranges.spring;
     const now = [arm.get('tip_x'), arm.get('tip_y')];
     if (!pointer.before) pointer.before = now;
-    const damper = 0.02 * ranges.spring;  // [N s/m]
-    x = ranges.spring * (pointer.x - now[0]) - damper * (now[0] - pointer.before[0]) / scene.step;
-    y = ranges.spring * (pointer.y - now[1]) - damper * (now[1] - pointer.before[1]) / scene.step;
+    const damper = ranges.damper / scene.step;
+    x = ranges.spring * (pointer.x - now[0]) - damper * (now[0] - pointer.before[0]);
+    y = ranges.spring * (pointer.y - now[1]) - damper * (now[1] - pointer.before[1]);
     pointer.before = now;
     const size = Math.hypot(x, y);
     if (size > most) [x, y] = [x * most / size, y * most / size];
@@ -314,9 +314,17 @@ function advance(count) {
   return done;
 }
 
+// The place in the world of an event in the picture.
+function inWorld({ clientX, clientY }) {
+  const box = byId('plane').getBoundingClientRect();
+  return [view.x + (clientX - box.left - 0.5 * view.width) / view.pixels,
+          view.y - (clientY - box.top - 0.5 * view.height) / view.pixels];
+}
+
 function frame(now) {
   const passed = Math.min(now - last, 100) / 1000;
   last = now;
+  if (pointer) [pointer.x, pointer.y] = inWorld(pointer);
   if (running) {
     owed += passed * Number(byId('speed').value) / scene.step;
     const count = Math.floor(owed), done = count ? advance(count) : 0;
@@ -699,19 +707,18 @@ function listen() {
   addEventListener('keyup', event => held.delete(key(event)));
   addEventListener('blur', () => held.clear());
   const plane = byId('plane');
-  const at = event => {
-    const box = plane.getBoundingClientRect();
-    return [view.x + (event.clientX - box.left - 0.5 * view.width) / view.pixels,
-            view.y - (event.clientY - box.top - 0.5 * view.height) / view.pixels];
-  };
   plane.addEventListener('pointerdown', event => {
-    const [x, y] = at(event);
+    const { clientX, clientY } = event, [x, y] = inWorld(event);
     if (Math.hypot(x - values.tip_x, y - values.tip_y) * view.pixels > REACH) return;
     plane.setPointerCapture(event.pointerId);
-    pointer = { x, y, before: null };
+    pointer = { clientX, clientY, x, y, before: null };
   });
+  // A finger on the tip does not scroll the page.
+  plane.addEventListener('touchstart', event => {
+    if (pointer) event.preventDefault();
+  }, { passive: false });
   plane.addEventListener('pointermove', event => {
-    if (pointer) [pointer.x, pointer.y] = at(event);
+    if (pointer) [pointer.clientX, pointer.clientY] = [event.clientX, event.clientY];
   });
   for (const kind of ['pointerup', 'pointercancel'])
     plane.addEventListener(kind, () => { pointer = null; });

@@ -256,7 +256,11 @@ def _loop(scene):
 
 
 def _ranges(scene):
-    """Return the largest values of the page's sliders of inputs, by name, and the tip's spring."""
+    """
+    Return the largest values of the page's sliders of inputs, by name.
+
+    And spring and damper by which a pointer pulls the tip, [N/m] and [N s/m].
+    """
     arm, values = scene.manipulator.arm, scene.values
     spring = 3.0 * float(np.min(arm.section.bending_stiffness)) / arm.length**3
     force = _BEND * arm.length * spring
@@ -273,4 +277,5 @@ def _ranges(scene):
             found[f'force_{axis}'] = min(2.0 * force, values['carrier.force_limit'])
     found['tip_force_across_arm'] = force
     # Two digits are enough for a slider.
-    return {**{name: float(f'{value:.2g}') for name, value in found.items()}, 'spring': spring}
+    return {**{name: float(f'{value:.2g}') for name, value in found.items()}, 'spring': spring,
+            'damper': math.sqrt(spring * scene.build().mass)}
