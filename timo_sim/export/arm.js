@@ -276,15 +276,16 @@ function command() {
         - law.gains[1] * arm.get('shaft_velocity');
     arm.set(name, value);
   }
-  // A spring with a damper, at most as strong as it would bend a clamped arm by a tenth.
+  // A spring, with a damper against the carrier, which the picture follows; at most as strong as
+  // what bends a clamped arm by a tenth.
   let x = 0, y = 0;
   if (pointer) {
     const most = 0.1 * scene.body.length * ranges.spring;
-    const now = [arm.get('tip_x'), arm.get('tip_y')];
-    if (!pointer.before) pointer.before = now;
-    const damper = ranges.damper / scene.step;
-    x = ranges.spring * (pointer.x - now[0]) - damper * (now[0] - pointer.before[0]);
-    y = ranges.spring * (pointer.y - now[1]) - damper * (now[1] - pointer.before[1]);
+    const tip = ['x', 'y'].map(axis => arm.get(`tip_${axis}`));
+    const now = ['x', 'y'].map((axis, k) => tip[k] - arm.get(`carrier_${axis}`));
+    const before = pointer.before || now, damper = ranges.damper / scene.step;
+    x = ranges.spring * (pointer.x - tip[0]) - damper * (now[0] - before[0]);
+    y = ranges.spring * (pointer.y - tip[1]) - damper * (now[1] - before[1]);
     pointer.before = now;
     const size = Math.hypot(x, y);
     if (size > most) [x, y] = [x * most / size, y * most / size];
