@@ -5,7 +5,7 @@
 
 from __future__ import annotations
 
-from collections.abc import Iterable, Sequence
+from collections.abc import Sequence
 from dataclasses import replace
 import math
 from typing import Any
@@ -33,7 +33,8 @@ class LaneLoads:
     """
     Loads of n scenes with the same time step, for their lanes.
 
-    `kinds` are the different scenes, and `which`, (n,), says which of them each is.
+    `kinds` are the different scenes, and `which`, (n,), says which of them each is. `origin`,
+    (n,), is the number of the step at which the scene's own loads begin, in each lane.
     """
 
     def __init__(self, kinds: list[Scene], which: np.ndarray, lanes: LaneSteps) -> None:
@@ -62,11 +63,19 @@ class LaneLoads:
         varying = (columns for columns, _, _ in self._parts)
         self.columns = np.array(sorted({*np.flatnonzero(slow.any(axis=0)).tolist()}.union(
             *varying)), dtype=np.int64)
-        self._room = NO_LOADS
-        self.reset(range(len(which)), 0)
+        self._room, self.origin = NO_LOADS, np.zeros(len(which), dtype=int)
+        self.reset(np.arange(len(which)), 0)
 
-    def reset(self, lanes: Iterable[int], first: int) -> None:
-        """Let no command act in some lanes from step `first` on."""
+    def reset(self, lanes: np.ndarray, first: int) -> None:
+        """Begin with the own loads at step `first`, and let no command act, in some lanes."""
+        self.origin[lanes] = first
+        padded = np.minimum(
+            np.arange(self._lanes.groups * self._lanes.width), len(self._which) - 1)
+        # Lanes with equal loads that began at the same step; complex numbers are sorted fast.
+        self._equal = []
+        for _, _, which in self._parts:
+            each, place = np.unique(which + 1j * self.origin, return_inverse=True)
+            self._equal.append((each, self._lanes.xp.asarray(place[padded])))
         for lane in self._slow.keys() & set(lanes if self._slow else ()):
             self._slow[lane] = Actuators(self._kinds[self._which[lane]].values, first)
 
@@ -83,21 +92,18 @@ class LaneLoads:
             acting = self._lanes.xp.where(self._held, 0.0, acting)
         return acting
 
-    def varying(self, first: int, count: int, origin: np.ndarray) -> np.ndarray:
+    def varying(self, first: int, count: int) -> np.ndarray:
         """
         Return what varies with time of the loads of some steps, see `LaneSteps.advance`.
 
-        `origin`, shape (n,), is the number of the step at which the scene's own loads begin, in
-        each lane. The shape is (groups, 1 + count, 4, len(columns), WIDTH).
+        The shape is (groups, 1 + count, 4, len(columns), WIDTH).
         """
-        groups, width = self._lanes.groups, self._lanes.width
-        found = np.zeros((groups, 1 + count, STEP_LOADS, len(self.columns), width))
-        for columns, loads, which in self._parts:
-            # Lanes with equal loads that began at the same step; complex numbers are sorted fast.
-            kinds, kind = np.unique(which + 1j * (first - origin), return_inverse=True)
+        groups, width, xp = self._lanes.groups, self._lanes.width, self._lanes.xp
+        found = xp.zeros((groups, 1 + count, STEP_LOADS, len(self.columns), width))
+        for (columns, loads, _), (kinds, kind) in zip(self._parts, self._equal):
             own = np.zeros((len(kinds), 1 + count, STEP_LOADS, len(columns)))
             for each, rows in zip(kinds, own):
-                load, begin = loads[int(each.real)], int(each.imag)
+                load, begin = loads[int(each.real)], first - int(each.imag)
                 if begin:  # from the step before, whose end is the beginning of these
                     rows[:] = self._own(load, columns, begin - 1, count + 1)
                 else:
@@ -105,8 +111,11 @@ class LaneLoads:
                     after = rows[1] if count else self._own(load, columns, 0, 1)[0]
                     rows[0, AFTER] = after[START]
             at = np.searchsorted(self.columns, columns[0])
+            own = xp.asarray(own)
             found[..., at:at + len(columns), :] = (
-                to_lanes(own, kind, width) if len(kinds) > 1 else own[0, ..., np.newaxis])
+                to_lanes(own[kind], width) if len(kinds) > 1 else own[0, ..., np.newaxis])
+        if self._slow:
+            found = self._lanes.host(found)
         for lane, actuators in self._slow.items():
             acting, rows = np.zeros((count, STEP_LOADS, LOADS)), found[lane // width, 1:]
             actuators.add(self._commanded[lane], first, acting)
@@ -125,7 +134,6 @@ MOST_ARMS = 10**7  # of a Batch
 _DEVICE = Parameter('device', 'cpu', '', 'what steps', choices=('cpu', 'cuda'))
 DEVICES = {'cuda': Cuda}
 _COUNT = Parameter('n', 1, '', 'number of manipulators', low=1, high=MOST_ARMS)
-_MAX_NUMBERS = 2**22  # most numbers that the loads of a call to compiled code take
 
 
 class Batch(Stateful):
@@ -200,7 +208,8 @@ class Batch(Stateful):
             np.array(each)[which] for each in zip(*(
                 ([model.tip_point.lever[0], 0.0], scene.initial_motion(), scene.bristles,
                  swing_of(model, scene.bristles)) for scene, model in zip(kinds, models))))
-        self._at_start = self._start_of(self._initial, np.ones(self.n, dtype=bool))
+        first = np.unique(which, return_index=True)[1]  # lane of each kind
+        self._which, self._at_start = which, self._start_of(first, self._initial[first])
         self._needed = {each.needs: np.array([scene.values[each.needs] for scene in kinds])[which]
                         for each in INPUTS if each.needs}
         # Of manipulators whose load at the tip changes.
@@ -209,7 +218,7 @@ class Batch(Stateful):
         given = self._models, kinds[0].step, MOST_BENT, self._bristles, not self._tips
         self._lanes = ThreadSteps(self._device, *given) if self._device else LaneSteps(*given)
         self._loads = LaneLoads(kinds, which, self._lanes)
-        self.steps, self._origin = 0, np.zeros(self.n, dtype=int)
+        self.steps = 0
         self.reset()
 
     def __repr__(self) -> str:
@@ -285,38 +294,40 @@ class Batch(Stateful):
                                  f'{chosen.dtype} of shape {chosen.shape}')
         motions = self._initial if motion is None else numbers(
             'motion', motion, self._initial.shape, self._initial.shape[1:])
-        motions, lanes = np.broadcast_to(motions, self._initial.shape), self._lanes
+        rows, lanes = np.flatnonzero(chosen), self._lanes
+        motions = np.broadcast_to(motions, self._initial.shape)[rows]
         for number in self._tips:
             if chosen[number]:
                 self._tips[number] = TipLoad(tip_of(self.scenes[number]))
                 self._set_model(number, self.scenes[number].build())
-        states, memory = self._at_start if motion is None else self._start_of(motions, chosen)
+        states, memory = self._start_of(rows, motions) if motion is not None else (
+            each[self._which[rows]] for each in self._at_start)
         for field, new in ((lanes.state, states), (lanes.motion, motions), (lanes.memory, memory),
-                           (lanes.progress, np.tile([1.0, 0.0], (self.n, 1)))):
-            rows = from_lanes(field, self.n)
-            rows[np.flatnonzero(chosen)] = lanes.xp.asarray(new[chosen])
-            field[:] = to_lanes(rows, width=lanes.width)
+                           (lanes.progress, np.tile([1.0, 0.0], (len(rows), 1)))):
+            every = from_lanes(field, self.n)
+            every[rows] = lanes.xp.asarray(new)
+            field[:] = to_lanes(every, lanes.width)
         # No step: the tips of the states are set; so are the motions, but without loads.
         motion_lanes = lanes.motion.copy()
         lanes.advance(np.empty(0, dtype=np.int64),
                       np.empty((lanes.groups, 1, STEP_LOADS, 0, lanes.width)))
         lanes.motion[:] = motion_lanes
-        self._origin[chosen] = self.steps
-        self._loads.reset(np.flatnonzero(chosen), self.steps)
+        self._loads.reset(rows, self.steps)
 
-    def _start_of(self, motions, chosen):
-        states = np.zeros((self.n, len(self._models[0].linear)))
-        memory = np.zeros((self.n, MEMORY))
+    def _start_of(self, lanes, motions):
+        """Return states and memories of some lanes at the start, with a motion for each."""
+        states = np.zeros((len(lanes), len(self._models[0].linear)))
+        memory = np.zeros((len(lanes), MEMORY))
         rows_of = {}
-        for lane in np.flatnonzero(chosen):
-            rows_of.setdefault(id(self._models[lane]), []).append(lane)
+        for row, lane in enumerate(lanes):
+            rows_of.setdefault(id(self._models[lane]), []).append(row)
         for rows in rows_of.values():
-            model = self._models[rows[0]]
+            model, among = self._models[lanes[rows[0]]], lanes[rows]
             # Each is a product of its own, so that no bit of a row depends on the other rows.
             states[rows] = model.state(motions[rows][:, np.newaxis])[:, 0]
             memory[rows] = memory_at(
-                self._bristles[rows], self._swing[rows],
-                motions[rows, motions.shape[1] // 2:] @ model.joint_turns)
+                self._bristles[among], self._swing[among],
+                (motions[rows, np.newaxis, motions.shape[1] // 2:] @ model.joint_turns)[:, 0])
         return states, memory
 
     def step(self, *, duration: float | None = None, **commands: Any) -> Motion:
@@ -377,17 +388,17 @@ class Batch(Stateful):
         lanes, loads = self._lanes, self._loads
         commanded = lanes.xp.asarray(0.0 if commanded is None else commanded)
         acting = loads.command(lanes.xp.broadcast_to(commanded, (self.n, LOADS)))
-        lanes.constant_load[:] = to_lanes(acting, width=lanes.width)
+        lanes.constant_load[:] = to_lanes(acting, lanes.width)
         samples = lanes.room(1 + count // sample_every if sample_every else 0,
                              lanes.motion.shape[1])
-        most = max(1, min(CHUNK, _MAX_NUMBERS // (4 * self.n * max(1, len(loads.columns)))))
+        most = max(1, min(CHUNK, lanes.most_numbers // (4 * self.n * max(1, len(loads.columns)))))
         tips = [lanes.room(0, 3)]
         first = 0
         while first < count:
             now, changes = self.steps + first, self._changes
             before = lanes.motion.copy() if changes else None
             part = min(most, count - first, self._change_tips(now) - now)
-            varying = loads.varying(now, part, self._origin)
+            varying = loads.varying(now, part)
             at_starts = lanes.room(part if with_tips else 0, 3)
             lanes.advance(loads.columns, varying, sample_every, first, samples, at_starts)
             if self._changes != changes and sample_every and first % sample_every == 0:
@@ -408,7 +419,7 @@ class Batch(Stateful):
         for number, tip in self._tips.items():
             scene, (group, lane) = self.scenes[number], divmod(number, lanes.width)
             place = group, slice(None), lane
-            while (tip.changes < len(scene.payloads) and self._origin[number]
+            while (tip.changes < len(scene.payloads) and self._loads.origin[number]
                    + scene.payloads[tip.changes][0] <= now and not self.failed[number]):
                 _, *load = scene.payloads[tip.changes]
                 model = scene.build((load[0], load[1]))
@@ -418,7 +429,7 @@ class Batch(Stateful):
                 lanes.state[place], lanes.motion[place] = model.state(motion), motion
             self._tips[number] = tip
             if tip.changes < len(scene.payloads):
-                due = self._origin[number] + scene.payloads[tip.changes][0]
+                due = self._loads.origin[number] + scene.payloads[tip.changes][0]
                 following = min(following, due if due > now else math.inf)
         return following
 

@@ -66,6 +66,7 @@ class LaneSteps:
     """
 
     width, xp = WIDTH, np
+    most_numbers = 2**22  # that the loads of a call to compiled code take
 
     def __init__(self, models: list[Formulation], step: float, bend_limit: float,
                  bristles: np.ndarray, alike: bool) -> None:
@@ -204,18 +205,11 @@ class LaneSteps:
                       samples.reshape(-1, *samples.shape[2:]), tips.reshape(-1, *tips.shape[2:]))
 
 
-def to_lanes(values: np.ndarray, rows: np.ndarray | None = None,
-             width: int = WIDTH) -> np.ndarray:
-    """
-    Transpose rows (n, ...) to lanes (groups, ..., width); the last row is repeated as padding.
-
-    `rows`, (n,), selects and orders them, by default all in order.
-    """
-    count = -(-len(values if rows is None else rows) // width)
-    if rows is None and len(values) % width:
-        rows = np.arange(len(values))
-    if rows is not None:
-        values = values[rows[np.minimum(np.arange(count * width), len(rows) - 1)]]
+def to_lanes(values: np.ndarray, width: int = WIDTH) -> np.ndarray:
+    """Transpose rows (n, ...) to lanes (groups, ..., width), the last one repeated as padding."""
+    count = -(-len(values) // width)
+    if len(values) % width:
+        values = values[np.minimum(np.arange(count * width), len(values) - 1)]
     values = values.reshape(count, width, *values.shape[1:])
     return values.transpose(0, *range(2, values.ndim), 1).copy()
 

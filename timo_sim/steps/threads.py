@@ -29,7 +29,7 @@ class ThreadSteps(LaneSteps):
     arguments are their number and what passes those of the entry point but the last.
     """
 
-    width = WARP
+    width, most_numbers = WARP, 2**27
 
     def __init__(self, device: Any, models: list[Formulation], step: float, bend_limit: float,
                  bristles: np.ndarray, alike: bool) -> None:
