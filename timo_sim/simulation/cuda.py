@@ -51,7 +51,7 @@ class Cuda:
 
     def array(self, name: str, given: Any, shape: tuple[int, ...]) -> Any:
         """Return an array of finite numbers that the device has, or raise ParameterError."""
-        array = self.xp.from_dlpack(given)
+        array = self._taken(given)
         if array.shape != shape or not self.xp.isfinite(array).all():
             raise ParameterError(f'{name} must have shape {shape} and finite numbers, got shape '
                                  f'{array.shape}, {self.host(array).ravel()[:3]} ...')
@@ -59,7 +59,11 @@ class Cuda:
 
     def host(self, array: Any) -> np.ndarray:
         """Return an array of the device as one of NumPy."""
-        return self.xp.asnumpy(self.xp.from_dlpack(array) if self.owns(array) else array)
+        return self.xp.asnumpy(self._taken(array))
+
+    def _taken(self, given):
+        ours = isinstance(given, self.xp.ndarray) or not self.owns(given)
+        return given if ours else self.xp.from_dlpack(given)
 
     def make_room(self, number: int) -> None:
         """Raise ParameterError if the device has no room for so many bytes."""

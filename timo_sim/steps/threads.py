@@ -18,6 +18,10 @@ thread_alike, thread_each = (
     EntryPoint(advance_group, {**entry.arguments, 'group': Thread}, name)
     for entry, name in ((advance_alike, 'thread_alike'), (advance_each, 'thread_each')))
 
+# Attributes that are fields of `Lane`.
+_ARRAYS = {'constant_load': 'constant_load', 'state': 'state', 'memory': 'friction',
+           'progress': 'progress', 'motion': 'motion', 'tip': 'tip'}
+
 
 class ThreadSteps(LaneSteps):
     """
@@ -41,20 +45,16 @@ class ThreadSteps(LaneSteps):
         own = self._constants[2 * alike:-1]
         self.groups = -(-len(models) // WARP)
         device.make_room(self.groups * sum(each.length for each in own))
-        packed, repeated = self._constants, self.groups
-        if not alike:
-            packed = self._pack(self._padded(models), bend_limit, self._padded(bristles))
-            repeated = 1
+        packed = self._constants if alike else self._pack(
+            self._padded(models), bend_limit, self._padded(bristles))
         self._memory = [self.xp.asarray(each.memory.view(float)) for each in packed[:-1]]
-        self._memory[2 * alike:] = [self.xp.tile(each, repeated)
-                                    for each in self._memory[2 * alike:]]
+        if alike:
+            self._memory[2:] = [self.xp.tile(each, self.groups) for each in self._memory[2:]]
         self._name_arrays()
 
     def _name_arrays(self):
         lane = self._constants[3]
-        for name, field in (('constant_load', 'constant_load'), ('state', 'state'),
-                            ('memory', 'friction'), ('progress', 'progress'),
-                            ('motion', 'motion'), ('tip', 'tip')):
+        for name, field in _ARRAYS.items():
             view = lane.views[field]
             setattr(self, name, self.xp.lib.stride_tricks.as_strided(
                 self._memory[3][lane.offsets[field] // 8:], (self.groups, *view.shape[1:]),
@@ -71,7 +71,8 @@ class ThreadSteps(LaneSteps):
         return super().room(number, length)
 
     def __getstate__(self):
-        return {name: each for name, each in vars(self).items() if name not in ('xp', '_kernel')}
+        return {name: each for name, each in vars(self).items()
+                if name not in ('xp', '_kernel', *_ARRAYS)}
 
     def __setstate__(self, state: dict[str, Any]) -> None:
         super().__setstate__(state)
