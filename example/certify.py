@@ -52,14 +52,14 @@ def excite(scene, duration=4.0, seed=0):
         for name, (seen, noise) in outputs.items()})
 
 
-def slew(scenes, stroke=0.0, begin=0.0, noise=0.0, seed=0):
+def slew(scenes, stroke=0.0, begin=0.0, noise=0.0, seed=0, device='cpu'):
     """
     Slew all arms by PD; return overshoot, (n,), as a part of the slew, and time to settle [s].
 
     `stroke` [N] and `begin` [s], numbers or arrays, (n,), are force and time of the strokes. A run
     that never settles counts as settled at its end.
     """
-    batch, random = timo_sim.Batch(scenes), np.random.default_rng(seed)
+    batch, random = timo_sim.Batch(scenes, device=device), np.random.default_rng(seed)
     last, force, angles = np.zeros(batch.n), np.zeros((batch.n, 2)), []
     for t in PERIOD * np.arange(round(DURATION / PERIOD)):
         encoder = batch.motion.shaft + noise * random.standard_normal(batch.n)
@@ -89,14 +89,17 @@ def main():
     """Fit, sample, slew and count."""
     parser = ArgumentParser(description=__doc__.strip().splitlines()[0])
     parser.add_argument('-n', type=int, default=10000, help='number of closed loops')
-    n, begun = parser.parse_args().n, time.monotonic()
+    parser.add_argument('--device', default='cpu', help='cpu, or cuda: an NVIDIA GPU')
+    given, begun = parser.parse_args(), time.monotonic()
+    n = given.n
     found = timo_sim.fit(timo_sim.load_scene(ARM), excite(timo_sim.load_scene(ARM, {
         'arm.young_modulus': 180e9, 'end_effector.mass': 0.06, 'integrator.step': 0.0005})), FREE)
     print(found.report(), end='\n\n')
     random = np.random.default_rng(1)
     overshoot, settled = slew(
         [found.scene.vary(each) for each in found.sample(n).variations],
-        STROKE * random.uniform(-1.0, 1.0, n), random.uniform(0.0, SLEW, n), NOISE)
+        STROKE * random.uniform(-1.0, 1.0, n), random.uniform(0.0, SLEW, n), NOISE,
+        device=given.device)
     good = {f'overshoot up to {100.0 * MAX_OVERSHOOT:g} %': overshoot <= MAX_OVERSHOOT,
             f'settled within {MAX_SETTLED:g} s': settled <= MAX_SETTLED}
     for text, kept in {**good, 'both': np.all([*good.values()], axis=0)}.items():
