@@ -84,7 +84,7 @@ def calls(folder):
     yield estimating.set_motion, {'motion': run.values[0]}, {}
     yield estimating.warm_up, {'tell': None, 'messages': False}, {'tell': none}
 
-    yield timo_sim.Batch, {'scenes': scene, 'n': 2}, {'scenes': '{}', 'n': none}
+    yield timo_sim.Batch, {'scenes': scene, 'n': 2, 'device': 'cpu'}, {'scenes': '{}', 'n': none}
     yield batch.step, {'torque': 1.0, 'force': [0.0, 1.0], 'duration': 0.001}, {
         'torque': number, **time}
     yield batch.advance, {'count': 1, 'commanded': None, 'sample_every': 1}, whole
@@ -151,13 +151,13 @@ def calls(folder):
         'name': 'arm'}, {'scene': '{}', 'folder': "'x'", 'name': "'x'"}
     yield timo_sim.export_fmu, {
         'scene': scene, 'path': folder / 'a.fmu', 'version': 3, 'estimate': False,
-        'target': 'host'}, {'scene': '{}'}
+        'target': 'host'}, {'scene': '{}', 'path': "'x'"}
 
     envs = {'num_envs': 1, 'scene': scene, 'variations': None, 'period': 0.02, 'duration': 0.1,
-            'farthest_goal': 1.0, 'force': 0.0, 'autoreset_mode': 'NextStep'}
+            'farthest_goal': 1.0, 'force': 0.0, 'device': 'cpu', 'autoreset_mode': 'NextStep'}
     fine = {'scene': '{}', 'variations': none, 'farthest_goal': '0 1e300', 'force': '0'}
     yield ReachVectorEnv, envs, fine
-    yield ReachEnv, dict([*envs.items()][1:-1]), fine
+    yield ReachEnv, dict([*envs.items()][1:-2]), fine
     many, one = ReachVectorEnv(**envs), ReachEnv(scene=scene)
     for env, action in (many, 'actions'), (one, 'action'):
         yield env.reset, {'seed': 1, 'options': {}}, {'seed': 'None 0', 'options': 'None {}'}

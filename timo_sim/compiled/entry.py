@@ -50,7 +50,8 @@ class EntryPoint(Function):
                                 self._wanted(constants),
                                 [(ctypes.c_int64 * len(sizes))(*sizes)] * any_size)
         code, wanted, places = self._known[key]
-        return Call(self, any_size, code, wanted, places, constants)
+        return Call(entry=self, any_size=any_size, code=code, wanted=wanted, sizes=places,
+                    constants=constants)
 
     def _wanted(self, constants):
         """Return for each argument the function that returns what passes it; whether once."""
