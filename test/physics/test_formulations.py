@@ -68,7 +68,7 @@ def vibrating(formulation, **overrides):
 def test_energy_is_that_of_masses_and_strain(values, picked_up):
     """Kinetic energy by the mass matrix, gravity's by the places of the masses, both in NumPy."""
     scene = timo_sim.load_scene({}, {'model.modes': 3, 'gravity': [1.5, -9.81], **values})
-    model = scene.build(scene.manipulator, (3.0, 0.15)) if picked_up else scene.build()
+    model = scene.build((3.0, 0.15)) if picked_up else scene.build()
     motions = np.random.default_rng(7).normal(scale=0.3, size=(20, model.size))
     half, body, found = model.size // 2, model.manipulator, []
     for motion in motions:
