@@ -142,7 +142,7 @@ COMMANDS = [
             'force x, y and torque z on the end effector', unused=(2, 3, 4)),
     Command('~/joint_command', 'sensor_msgs/msg/JointState', _joint_command,
             ('carrier', 'shaft'),
-            'efforts of `carrier_x`, `carrier_y`, `shaft`, by name; others are ignored'),
+            'efforts of `carrier_x`, `carrier_y`, `shaft`, by name; other joints are ignored'),
     Command('~/commands', 'std_msgs/msg/Float64MultiArray', _commands, ('carrier', 'shaft'),
             'the same three, as an array'),
     Command('~/motor_voltage', 'std_msgs/msg/Float64',
