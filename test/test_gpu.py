@@ -164,7 +164,7 @@ def test_a_kernel_is_made_for_gpus(modes, entry, processor, tmp_path):
 def test_what_is_missing_is_refused_before_anything_is_made(processor, monkeypatch):
     monkeypatch.setattr(Processor, 'free', 10**6)
     with pytest.raises(timo_sim.ParameterError, match='n must fit'):
-        Batch('paper', n=10**5, device='cuda')
+        Batch(scene_of('free', 'exact'), n=10**5, device='cuda')
     for scene, text in (scene_of('payload', 'exact'), 'payload.time'), (
             scene_of('one axis held', 'exact'), 'carrier.held = x'):
         with pytest.raises(timo_sim.ParameterError, match=text):

@@ -187,7 +187,8 @@ class Batch(Stateful):
 
     def __init__(self, scenes: SceneLike | Sequence[Scene], n: int | None = None,
                  device: str = 'cpu') -> None:
-        self._device: Any = None if device == 'cpu' else DEVICES[_DEVICE.check(device)]()
+        device = _DEVICE.check(device)
+        self._device: Any = None if device == 'cpu' else DEVICES[device]()
         if isinstance(scenes, Sequence) and not isinstance(scenes, str):
             self.scenes = [load_scene(scene) for scene in scenes]
             if n not in (None, len(scenes)):

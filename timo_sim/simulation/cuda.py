@@ -16,7 +16,6 @@ from timo_sim.scene.parameters import ParameterError
 
 _BLOCK = 64  # threads of a block
 _OLDEST, _NEWEST = 80, 90  # compute capabilities for which PTX is made; later GPUs take the last
-_STACKS = 2**30  # room for the stacks of all threads that a GPU runs at a time [B]
 
 
 class Cuda:
@@ -37,6 +36,7 @@ class Cuda:
             raise ParameterError(f"device = 'cuda' needs a GPU of compute capability "
                                  f'{_OLDEST / 10} or newer, got {capability / 10}')
         self._processor = f'sm_{_NEWEST if capability >= _NEWEST else _OLDEST}'
+        self._stacks = 0  # room that the driver takes for those of all threads at a time [B]
 
     @property
     def xp(self) -> Any:
@@ -67,7 +67,7 @@ class Cuda:
 
     def make_room(self, number: int) -> None:
         """Raise ParameterError if the device has no room for so many bytes."""
-        free = (self.xp.cuda.Device().mem_info[0] - _STACKS
+        free = (self.xp.cuda.Device().mem_info[0] - self._stacks
                 + self.xp.get_default_memory_pool().free_bytes())
         if number > free:
             raise ParameterError(
@@ -81,6 +81,9 @@ class Cuda:
             path = Path(folder, 'arms.ptx')
             path.write_bytes(text)
             kernel = self.xp.RawModule(path=str(path)).get_function(machine.KERNEL)
+        about = self.xp.cuda.Device().attributes
+        self._stacks = kernel.local_size_bytes * (
+            about['MultiProcessorCount'] * about['MaxThreadsPerMultiProcessor'])
 
         def launch(count: int, *arrays: Any) -> None:
             kernel((-(-count // _BLOCK),), (_BLOCK,), (*arrays, self.xp.int64(count)))

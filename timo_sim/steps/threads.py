@@ -40,8 +40,9 @@ class ThreadSteps(LaneSteps):
         self._device, self.xp, self._count = device, device.xp, len(models)
         alike = alike and all(model is models[0] for model in models) and bool(
             (bristles == bristles[0]).all())
-        # The first group tells how much memory all need.
+        # The first group tells how much memory all need, and the kernel how much its stacks do.
         super().__init__(models[:WARP], step, bend_limit, bristles[:WARP], alike)
+        self._kernel  # loads it
         own = self._constants[2 * alike:-1]
         self.groups = -(-len(models) // WARP)
         device.make_room(self.groups * sum(each.length for each in own))
