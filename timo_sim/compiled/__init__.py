@@ -24,10 +24,11 @@ What `numba.cfunc` does not do, for which this package exists:
 
 For that `emit` has a target of its own, of classes for which numba promises nothing:
 `codegen.AOTCodeLibrary`, `AOTCPUCodegen`, `cpu.CPUContext` and `registry.CPUTarget` have
-subclasses; of their private names it uses `_optimize_functions`, `_optimize_final_module`,
-`_ensure_finalized`, `_final_module`, `_codegen`, `_data_layout`, `_tm`, `_library_class`,
-`_internal_codegen`, `_toplevel_typing_context`, `_toplevel_target_context`, `_target_name`,
-`_impl_keys` and the option `_nrt`. `_UNUSED` names passes of its pipeline that are left out.
+subclasses; of their private names it uses `_optimize_functions`, `_linking_libraries`,
+`_get_module_for_linking`, `_finalized`, `_final_module`, `_codegen`, `_data_layout`, `_tm`,
+`_library_class`, `_internal_codegen`, `_toplevel_typing_context`, `_toplevel_target_context`,
+`_target_name`, `_impl_keys` and the option `_nrt`. `_UNUSED` names passes of its pipeline that are
+left out.
 
 Tried with numba 0.62.0 (`make test-lowest`) and 0.68.1. With another version first pass
 test/physics/test_compiled.py and test_code_store.py: they fail if numba has renamed one of these.

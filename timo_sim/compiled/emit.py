@@ -423,11 +423,23 @@ class _Library(codegen.AOTCodeLibrary):
     def _optimize_functions(self, module):
         module.data_layout = self._codegen._data_layout
 
-    def _optimize_final_module(self):
-        pass
+    def finalize(self) -> None:
+        # numba links all that a function calls to it, again for each caller.
+        self._finalized = True
+
+    def linked(self) -> Any:
+        """Return the module with those of all functions that are called."""
+        found, left = dict[int, Any](), [self]
+        while left:
+            for each in left.pop()._linking_libraries:
+                if id(each) not in found:
+                    found[id(each)] = each
+                    left.append(each)
+        for each in found.values():
+            self._final_module.link_in(each._get_module_for_linking(), preserve=True)
+        return self._final_module
 
     def get_pointer_to_function(self, name: str) -> int:
-        self._ensure_finalized()
         return 0
 
 
@@ -599,10 +611,9 @@ def emit(entry: Any, kinds: tuple[type, ...]) -> bytes:
     library = result.library.codegen.create_library(entry.name)
     library.add_linking_library(result.library)
     library.add_ir_module(_entry_module(result, library, entry.threads))
-    library.finalize()
     # LLVM must not turn loops into calls of the C library.
     module = llvm.parse_assembly(re.sub(
-        r'^(define .*)\{$', r'\1"no-builtins" {', str(library._final_module), flags=re.MULTILINE))
+        r'^(define .*)\{$', r'\1"no-builtins" {', str(library.linked()), flags=re.MULTILINE))
     for each in [*module.functions, *module.global_variables]:
         if not each.is_declaration and each.name != 'entry':
             each.linkage = 'internal'
