@@ -56,7 +56,10 @@ def test_a_thousand_steps_are_those_of_simulator(name, target, tmp_path):
     commanded, modes = np.zeros(LOADS), len(simulator.model.modes)
     commanded[TORQUE] = 0.7
     motions = simulator.advance(1000, commanded, 100)[0][1:]
-    order = [1, 2, 3, *range(20, 20 + modes), 4, 5, 6, *range(20 + modes, 20 + 2 * modes)]
+    names = ['carrier_x', 'carrier_y', 'shaft', *(f'mode_{n + 1}' for n in range(modes))]
+    places = {output.title: place for place, output in enumerate(interface.outputs)}
+    order = [places[name] for name in names] + [
+        places[f'{name}_rate' if 'mode' in name else f'{name}_velocity'] for name in names]
     rows = np.array([json.loads(line) for line in found.stdout.splitlines()])[:, order]
     assert np.ptp(motions, axis=0).max() > 0.01
     assert np.abs(rows - motions).max() < 1e-13 * np.abs(motions).max()
