@@ -109,7 +109,9 @@ def install(folder, *kind):
                     ignore=shutil.ignore_patterns('prebuilt', '__pycache__'))
     spent = processor_time(lambda: subprocess.run(
         [sys.executable, '-m', 'timo_sim.export.prebuilt', package / 'compiled' / 'prebuilt',
-         *kind], check=True, cwd=ROOT))
+         *kind], check=True, cwd=ROOT,
+        # The store of this user may have it already.
+        env={**os.environ, 'NUMBA_CACHE_DIR': str(Path(folder, 'store'))}))
     subprocess.run([sys.executable, '-m', 'compileall', '-q', folder], check=True)
     return spent
 
