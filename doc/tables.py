@@ -185,7 +185,7 @@ def in_short():
         ('real arms', f'{len(held)} fits of records of six laboratories, the part that was not '
                       f'fitted: R^2 from {shaft[0]:.2f} to {shaft[-1]:.2f} for the shaft and from '
                       f'{tip[0]:.2f} to {tip[-1]:.3f} for tip, strain or cart; {good} reach 0.95 '
-                      'for both. The one record that no choice of the protocol had seen has '
+                      'for both. One fit was blind, after the last change of the protocol: '
                       f'{" and ".join(f"{r2:.2f}" for r2 in blind)}. [How](doc/real_arm.md)'))
 
 

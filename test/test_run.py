@@ -19,6 +19,7 @@ import pytest
 from oracles.energy import balance, work
 import timo_sim
 from timo_sim.cli import main
+from timo_sim.runs.simulate import enough_samples
 
 
 def test_rates_are_derivatives_of_the_coordinates(paper):
@@ -246,3 +247,4 @@ def test_the_command_takes_samples_of_a_long_run_at_even_distances(tmp_path):
         found = pandas.read_csv(tmp_path / f'{steps}.csv')['time_s']
         assert len(found) == 20_001 and np.ptp(np.diff(found)) < 1e-9
     assert shown == {20_000: False, 60_000: True}
+    assert enough_samples(2 * 40_009) == 2  # 40 009 is prime

@@ -403,7 +403,8 @@ def replay(file: str, settings: tuple[str, ...], scene: str | None, output: str 
     'File of the run: *.mcap (a log), *.parquet or *.csv. An existing log is never overwritten; '
     '_1, _2, ... is appended.'))
 @click.option('--rate', type=float, metavar='HZ', help=(
-    'Samples per second of sim time; by default all steps, of a long run up to 20000.'))
+    'Samples per second of sim time; by default every step, of a long run every n-th one, '
+    'for 20000 samples at most if some n divides the number of steps.'))
 @click.option('--estimate/--no-estimate', default=True, show_default=True,
               help='Measure the error by a finer run.')
 @click.option('--view', is_flag=True, help='Show the run in rerun.')

@@ -232,6 +232,12 @@ def _thin(run, every):
 
 
 def enough_samples(steps: int) -> int:
-    """Return the steps between samples of a run: one, or more for one of more than 20 000."""
+    """
+    Return the steps between samples of a run: one, or more for one of more than 20 000 steps.
+
+    They divide the number of steps. If no such divisor leaves a tenth of 20 000 samples or more,
+    there are more than 20 000.
+    """
     first = max(1, -(-steps // _MOST_SAMPLES))
-    return next((every for every in range(first, 10 * first) if steps % every == 0), 1)
+    return next(every for every in (*range(first, 10 * first), *range(first - 1, 0, -1))
+                if steps % every == 0)
