@@ -124,7 +124,7 @@ benchmark-latency: $(VENV)/.benchmark ## measure the time from a command to its 
 real-arm: $(VENV)/.benchmark ## fill doc/real_arm.md from the records in DATA=folder
 	@$(BIN)/python -m benchmark.accuracy.real_arm
 
-observer: $(VENV)/.plot ## fill the part of doc/control.md on observers, DATA=folder as of real-arm
+observer: $(VENV)/.plot ## fill the tables of doc/observer.md, DATA=folder as of real-arm
 	@$(BIN)/python -m benchmark.accuracy.observer
 
 stretch: $(VENV)/.benchmark ## compare arms that stretch with finite elements

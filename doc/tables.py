@@ -56,7 +56,7 @@ def parameters():
         group, dot, _ = parameter.name.partition('.')
         groups.setdefault('node' if not dot and parameter.scope == NODE else group,
                           []).append(parameter)
-    return '\n'.join(f'### {group}\n\n' + _table(
+    return '\n'.join(f'## {group}\n\n' + _table(
         ('parameter', 'default', 'rule', 'meaning'), *map(_row, entries))
         for group, entries in groups.items())
 

@@ -2,7 +2,7 @@
 # SPDX-License-Identifier: Apache-2.0
 
 """
-Observers of simulated arms and of a real one: `make observer DATA=folder` fills doc/control.md.
+Observers of simulated arms and of a real one: `make observer DATA=folder` fills doc/observer.md.
 
 `made` needs no data. `real` is the record of the rotary flexible link of `real_arm`, which says
 where it is from: its first half is fitted, and an observer follows the second by encoder and
@@ -177,4 +177,4 @@ def real(quick):
 PARTS = {'observer made': made, 'observer real': real}
 
 if __name__ == '__main__':
-    make_page(__spec__, __doc__, 'control.md', PARTS, 'few seeds')
+    make_page(__spec__, __doc__, 'observer.md', PARTS, 'few seeds')

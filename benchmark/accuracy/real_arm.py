@@ -39,6 +39,9 @@ SHORT = 0.1  # time in which a way of the shaft is one way [s]
 BACK = 0.25  # part of all ways in the lesser direction, above which the shaft moves in both
 FACTOR = 10.0  # to which a first guess is right
 SCORES = ROOT / 'doc' / 'real_arm' / 'scores.json'
+# The first lines of a command's file.
+HEAD = ('#!/bin/sh\n# The fit of doc/real_arm.md, in the folder of the records, with a link to example/ '
+        'in it.\n')
 
 ARM = ['arm.young_modulus', 'arm.damping_ratio']
 FRICTION = ['viscous_friction', 'coulomb_friction', 'coulomb_speed', 'coulomb_asymmetry',
@@ -464,11 +467,11 @@ def command_of(case, parts, chosen, bounds):
         f'--scene example/real_arm/{case.scene} --mapping {columns}',
         *wrap(f'--bounds {shown}', 112), *(wrap(changes, 112) if values else []),
         *(f'--free {",".join(line.split())}' for line in wrap(' '.join(names), 105)),
-        '-o fitted.yaml --png fit.png'])
+        '-o fitted.yaml --png fit.png "$@"'])
 
 
 def section(case):
-    """Fit a case, draw it, and return what the page says of it."""
+    """Fit a case, draw it, write command and report, and return what the page says of it."""
     parts = parts_of(case)
     found, chosen, bounds, trials = fitted(case)
     held = (found.more or [found])[-1]
@@ -481,15 +484,20 @@ def section(case):
     SCORES.write_text(json.dumps({**old, case.name: [*by_model.values(), trials]}, indent=1)
                       + '\n', encoding='utf-8')
     held.plot().savefig(ROOT / 'doc' / 'real_arm' / f'{case.name}.png', dpi=70)
+    script = FILES / f'{case.name}.sh'
+    script.write_text(f'{HEAD}{command_of(case, parts, chosen, bounds)}\n', encoding='utf-8')
+    script.chmod(0o755)
+    (ROOT / 'doc' / 'real_arm' / f'{case.name}.txt').write_text(
+        found.report().replace(f'{DATA}/', '') + '\n', encoding='utf-8')
     rows = [[model, *(in_words(each) for score in scored.values() for each in score)]
             for model, scored in by_model.items() if scored]
     return '\n\n'.join([
         f'![Measured and predicted](real_arm/{case.name}.png)',
         table(['R^2', *(f'{name}, {part}' for name in own for part in ('fitted', 'held out'))],
               rows),
-        f'The fit, with the {chosen}:' if trials else 'The fit:',
-        f'```\n{command_of(case, parts, chosen, bounds)}\n```',
-        f'```text\n{found.report().replace(str(DATA) + "/", "")}\n```'])
+        f'Fitted{f" with the {chosen}" if trials else ""}, by '
+        f'[{case.name}.sh](../example/real_arm/{case.name}.sh) '
+        f'([report](real_arm/{case.name}.txt)).'])
 
 
 PARTS = {**{case.name: lambda quick, case=case: section(case) for case in CASES},

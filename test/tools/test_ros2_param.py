@@ -53,7 +53,7 @@ def test_describe_load_set_get_and_the_line_of_the_page(start, tmp_path):
         assert 'Set parameter successful' in ros2('set', 'arm.damping_ratio', text)
         assert shown in ros2('get', 'arm.damping_ratio')
     line, = re.findall(r'^(ros2 service call \S*set_parameters_atomically .*\\\n.*)$',
-                       (DOC / 'control.md').read_text(), re.MULTILINE)
+                       (DOC / 'sensors.md').read_text(), re.MULTILINE)
     assert 'successful=True' in told('bash', '-c', line)
     assert '[0.5, 0.0]' in ros2('get', 'load.torque.piecewise.value')
 
