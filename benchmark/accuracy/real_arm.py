@@ -40,8 +40,8 @@ BACK = 0.25  # part of all ways in the lesser direction, above which the shaft m
 FACTOR = 10.0  # to which a first guess is right
 SCORES = ROOT / 'doc' / 'real_arm' / 'scores.json'
 # The first lines of a command's file.
-HEAD = ('#!/bin/sh\n# The fit of doc/real_arm.md, in the folder of the records, with a link to example/ '
-        'in it.\n')
+HEAD = ('#!/bin/sh\n# The fit of doc/real_arm.md, in the folder of the records, with a link to '
+        'example/ in it.\n')
 
 ARM = ['arm.young_modulus', 'arm.damping_ratio']
 FRICTION = ['viscous_friction', 'coulomb_friction', 'coulomb_speed', 'coulomb_asymmetry',
