@@ -9,7 +9,7 @@ from setuptools import setup
 
 setup(
     name='timo_sim_bringup',
-    version='0.2.0',
+    version='0.3.0',
     packages=[],
     data_files=[
         ('share/ament_index/resource_index/packages', ['resource/timo_sim_bringup']),

@@ -3,4 +3,4 @@
 
 """The version of the package, which is stated here and in package.xml."""
 
-__version__ = '0.2.0'
+__version__ = '0.3.0'

@@ -487,17 +487,17 @@ def section(case):
     script = FILES / f'{case.name}.sh'
     script.write_text(f'{HEAD}{command_of(case, parts, chosen, bounds)}\n', encoding='utf-8')
     script.chmod(0o755)
-    (ROOT / 'doc' / 'real_arm' / f'{case.name}.txt').write_text(
-        found.report().replace(f'{DATA}/', '') + '\n', encoding='utf-8')
     rows = [[model, *(in_words(each) for score in scored.values() for each in score)]
             for model, scored in by_model.items() if scored]
-    return '\n\n'.join([
-        f'![Measured and predicted](real_arm/{case.name}.png)',
-        table(['R^2', *(f'{name}, {part}' for name in own for part in ('fitted', 'held out'))],
-              rows),
-        f'Fitted{f" with the {chosen}" if trials else ""}, by '
-        f'[{case.name}.sh](../example/real_arm/{case.name}.sh) '
-        f'([report](real_arm/{case.name}.txt)).'])
+    scored = table(['R^2', *(f'{name}, {part}' for name in own
+                             for part in ('fitted', 'held out'))], rows)
+    report = found.report().replace(f'{DATA}/', '')
+    (ROOT / 'doc' / 'real_arm' / f'{case.name}.txt').write_text(
+        f'{report}\n\n{scored}\n', encoding='utf-8')
+    return (f'![Measured and predicted](real_arm/{case.name}.png)\n\n'
+            f'Fitted{f" with the {chosen}" if trials else ""}, by '
+            f'[{case.name}.sh](../example/real_arm/{case.name}.sh) '
+            f'([report](real_arm/{case.name}.txt)).')
 
 
 PARTS = {**{case.name: lambda quick, case=case: section(case) for case in CASES},
