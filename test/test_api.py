@@ -128,7 +128,7 @@ def test_a_run_is_saved_and_opened(run, tmp_path):
     assert 'does not say whether there were warnings' in again.message
     assert again.t == pytest.approx(run.t, abs=1e-9) and again.scene == run.scene
     assert again.stats == run.stats and type(again.stats['steps']) is int
-    assert 'm at most from that of a finer run' in again.message
+    assert ', estimated ' in again.message
     assert np.array_equal(again.effort, run.effort)
     frame = run.to_pandas()
     assert np.array_equal(frame['shaft_rad'], run.shaft) and frame.index.name == 'time_s'

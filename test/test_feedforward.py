@@ -107,8 +107,8 @@ def test_the_shortest_plan_of_a_rigid_arm_is_that_of_an_s_curve():
 @pytest.mark.parametrize('given, said', [
     ({'model': model(), 'duration': 0.01}, r'at least 0\.\d+ s to reach the goal .* got 0.01 s'),
     ({'model': model(**FREE), 'duration': 2.0, 'goal': {
-        'shaft_rad': 1.0, 'carrier_y_m': 0.0}}, 'goal must be in reach of the inputs'),
-    ({'model': model(**HANGS), 'limit': 2.0}, 'goal must be in reach of the inputs within their'),
+        'shaft_rad': 1.0, 'carrier_y_m': 0.0}}, 'goal must be reachable within the limits'),
+    ({'model': model(**HANGS), 'limit': 2.0}, 'goal must be reachable within the limits of the'),
     ({'model': timo_sim.linearize(ARM), 'duration': 1.0}, 'use model.to_discrete'),
     ({'model': model()}, 'duration must be given if nothing is limited'),
     ({'model': model(), 'duration': 1.001}, 'must be a whole multiple of dt = 0.01'),

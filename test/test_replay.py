@@ -340,7 +340,7 @@ def test_what_was_set_is_set_again_also_beside_a_reset(presliding, tmp_path):
 
 def test_a_log_of_an_old_version_is_refused_with_the_version_that_reads_it(log):
     log.write_bytes(log.read_bytes().replace(timo_sim.__version__.encode(), b'0.1.0'))
-    assert 'run.mcap is of timo_sim 0.1.0, whose logs timo_sim 0.2.0 was the last to read' in call(
+    assert 'run.mcap is of timo_sim 0.1.0: read it with timo_sim 0.2.0, the last version' in call(
         'replay', log, code=2)
 
 
@@ -351,7 +351,7 @@ def test_a_log_of_0_2_0_is_read_by_the_present_names(tmp_path):
     falsify(log, b'"sensor.encoder.noise": 0.0', b'"integrator.tolerance": 0.0')
     assert 'all are the same to the last bit' in call('replay', log, '-o', tmp_path / 'new.mcap')
     falsify(log, b'"integrator.tolerance": 0.0', b'"integrator.tolerance": 0.1')
-    assert 'split by integrator.tolerance, which timo_sim 0.2.0' in call('replay', log, code=2)
+    assert 'split by integrator.tolerance: replay it with timo_sim 0.2.0' in call('replay', log, code=2)
 
 
 def test_views_say_what_a_bag_or_log_lacks(bag, log, tmp_path):

@@ -296,7 +296,7 @@ def test_linear_models_of_a_gear_that_nothing_loads_need_its_contact():
         timo_sim.linearize(scene.vary({'motor.gear.backlash': 0.0}), contact='open')
     with pytest.raises(timo_sim.ParameterError, match='contact must be closed, open or '''):
         timo_sim.linearize(scene, contact='shut')
-    with pytest.raises(timo_sim.ParameterError, match='goal must be in reach'):
+    with pytest.raises(timo_sim.ParameterError, match='goal must be reachable'):
         timo_sim.feedforward(apart.select(['torque_N_m']).to_discrete(0.01), {'shaft_rad': 0.5}, 1)
 
 

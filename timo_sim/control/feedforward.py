@@ -95,8 +95,8 @@ def feedforward(model: LinearModel, goal: Mapping[str, float], duration: float |
     while inputs(high) is None:
         low, high = high, 2 * high
         if high > _LONGEST:
-            raise ParameterError('goal must be in reach of the inputs within their limits, got '
-                                 f'one that is not within {low * model.dt:g} s')
+            raise ParameterError('goal must be reachable within the limits of the inputs, got '
+                                 f'one that takes more than {low * model.dt:g} s')
     if high > low:  # all durations from the shortest on are possible, because a plan may wait
         high = bisect_left(range(high), True, low + 1, key=lambda k: inputs(k) is not None)
         if duration is not None:

@@ -269,9 +269,8 @@ class Observer(Stateful, PointsOfArm):
             self._square += (min(number**2, _OUTLIER**2) - self._square) / _MEMORY
         if self.consistency > _INCONSISTENT and not self.warning:
             self.warning = (
-                f'what is measured differs {self.consistency:.1f} times as much from what the '
-                'observer expects as its covariance says: the model, the noise of its sensors or '
-                'the disturbance do not fit')
+                f'measurements differ {self.consistency:.1f} times as much from expected ones as '
+                'the covariance says: the model, the noise of sensors or the disturbance is wrong')
             warn(self.warning)
         return change[:known]
 

@@ -120,13 +120,13 @@ class Recording:
         self.summary = {name: text if name == 'timing' else _number(text)
                         for name, text in summary.items()}
         if self.facts.get('timo_sim', '').startswith('0.1.'):
-            raise LogError(f'{self.title} is of timo_sim {self.facts["timo_sim"][:9]}, whose logs '
-                           'timo_sim 0.2.0 was the last to read')
+            raise LogError(f'{self.title} is of timo_sim {self.facts["timo_sim"][:9]}: read it '
+                           'with timo_sim 0.2.0, the last version that can')
         self.resets = np.array(sorted(logged), dtype=np.int64)
         self._resets_in_order = self.resets.tolist() == logged
         self.name = self.facts.get('node') or node or self._find_node()
         if node and node != self.name:
-            raise LogError(f'{self.title} is a log of the node {self.name}, of none named '
+            raise LogError(f'{self.title} is a log of the node {self.name}, got '
                            f'{printable(node)}')
         self.reset_times: np.ndarray | None = None
         if not self.facts:
@@ -201,8 +201,8 @@ class Recording:
         if not isinstance(parameters, dict):
             raise ValueError('its parameters are no dictionary')
         if parameters.get('integrator.tolerance'):
-            raise LogError(f'{self.title} has steps split by integrator.tolerance, which timo_sim '
-                           '0.2.0 was the last to do')
+            raise LogError(f'{self.title} has steps split by integrator.tolerance: replay it '
+                           'with timo_sim 0.2.0, the last version that can')
         return {now: value for name, value in parameters.items()
                 if (now := _PARAMETERS.get(name, name))}
 

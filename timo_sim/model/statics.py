@@ -67,8 +67,8 @@ def equilibrium(model: Formulation, motion: np.ndarray, load: np.ndarray) -> np.
         elif forces.turned_by(change) <= _CONVERGED:
             found = time * slowest > _NEWTON
         time *= 4.0
-    raise ValueError('no equilibrium was found: the shaft turns, or the arm bends, on and on '
-                     'under these loads')
+    raise ValueError('no equilibrium was found: under these loads the shaft turns, or the arm '
+                     'bends, without end')
 
 
 class _Forces:

@@ -13,11 +13,10 @@ from timo_sim.simulation.simulator import Simulator
 from timo_sim.topics.outputs import NANOSECONDS
 
 _PERIOD = 1.0  # [s] of wall time
-_TWO_CLOCKS = 'somebody else publishes /clock, too: whoever uses sim time sees it jump'
+_TWO_CLOCKS = '/clock has another publisher: nodes that use sim time see it jump'
 _SILENCE = 5  # periods without a first command, though somebody publishes commands
-_SILENT = ('time stands, because no first command has come, though somebody publishes commands: '
-           'with sync: wait a controller answers joint_states; one that waits for time to go on, '
-           'as a timer on sim time does, never begins')
+_SILENT = ('time stands: no command has come yet, although commands have a publisher; with sync: '
+           'wait a controller must answer joint_states, since a timer on sim time never begins')
 
 
 class Health:
@@ -86,8 +85,8 @@ class Health:
         nodes = node.get_node_names_and_namespaces()
         before, self._around = self._around, [text for text, holds in (
             (_TWO_CLOCKS, self._publishes_clock and node.count_publishers('/clock') > 1),
-            (f'another node is called {node.get_fully_qualified_name()}, too, or was killed just '
-             'now', nodes.count((node.get_name(), node.get_namespace())) > 1),
+            (f'another node has the name {node.get_fully_qualified_name()}, or had it and was '
+             'killed just now', nodes.count((node.get_name(), node.get_namespace())) > 1),
             (_SILENT, self._silent_periods >= _SILENCE)) if holds]
         for text in self._around:
             if text not in before:

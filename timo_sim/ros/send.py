@@ -94,12 +94,12 @@ def send(topic: str, words: Sequence[str], node: str, patience: float) -> str:
             message_class(command.type_name), full, 10)
         while not publisher.get_subscription_count():
             if time.monotonic() > end:
-                raise TimeoutError(f'nobody subscribes to {full}: the node is not there, has '
-                                   'another name (--node), or does not take it')
+                raise TimeoutError(f'{full} has no subscriber: the node is not running, has '
+                                   'another name (--node), or does not take this command')
             time.sleep(0.01)
         publisher.publish(message)
         if not publisher.wait_for_all_acked(Duration(seconds=patience)):
-            raise TimeoutError(f'{full} has a subscriber, which does not acknowledge the command')
+            raise TimeoutError(f'the subscriber of {full} does not acknowledge the command')
     finally:
         rclpy.try_shutdown()
     return f'sent to {full}'

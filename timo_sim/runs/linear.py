@@ -255,9 +255,8 @@ def linearize(scene: SceneLike, at: np.ndarray | None = None, contact: str = '')
                  for effect, share in zip(_output_names(formulation), lacking @ unit)
                  if share > _LEFT_OUT]:
         share, effect, name = max(found)
-        warn(f'{effect} of the linear model lacks {100.0 * share:.0f} % of what a slow {name} '
-             "does to the arm, which the tip's place has: name the load in model.static_modes, or "
-             'take more model.modes')
+        warn(f'{effect} of the linear model lacks {100.0 * share:.0f} % of the static response '
+             f'to {name}: name the load in model.static_modes, or take more model.modes')
     d = np.stack([_outputs(formulation, at, load + units[name]) - still + residual @ units[name]
                   for name in inputs], axis=-1)
     for unit, spring in _springs(formulation, scene.bristles, places):
@@ -287,10 +286,10 @@ def in_contact(scene: Scene, model: Formulation, at: np.ndarray,
                              + ', got open')
     if not loaded and not contact:
         raise ParameterError(
-            f'contact must be closed or open with motor.gear.backlash = {backlash:g} rad and a '
-            'gear that nothing loads at rest, since it moves as if without backlash in large '
-            'motions, and not at all within it: name one, or load the gear by '
-            'initial.equilibrium and load.torque')
+            f'contact must be closed or open with motor.gear.backlash = {backlash:g} rad, because '
+            'nothing loads the gear at rest: closed is for motions that are large beside the '
+            'backlash, open for motions within it; or load the gear by initial.equilibrium and '
+            'load.torque')
     if not backlash:
         return model, at
     place, at = model.gear_place, at.copy()

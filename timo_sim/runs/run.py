@@ -98,8 +98,8 @@ class Run(MotionFields, PointsOfArm):
         error = self.stats.get('estimated_tip_error_m', math.nan)
         if not math.isnan(error):
             bend = self.stats.get('estimated_deflection_error_m', 0.0)
-            found += f', the tip {error:.1g} m at most from that of a finer run' + (
-                f' and its deflection {bend:.1g} m' if bend > 2.0 * error else '')
+            found += (f', estimated errors: tip {error:.1g} m, deflection {bend:.1g} m'
+                      if bend > 2.0 * error else f', estimated tip error {error:.1g} m')
         if self.scene.fastest < math.inf:
             found += (', axial vibrations slowed down to '
                       f'{self.scene.fastest / (2.0 * math.pi):.3g} Hz, since steps do not '

@@ -131,7 +131,7 @@ class Sensors:
 
     def __getattr__(self, name):
         if name not in dir(self):
-            raise AttributeError(f'there is no sensor {name!r}, but {", ".join(dir(self))}')
+            raise AttributeError(f'there is no sensor {name!r}; there are {", ".join(dir(self))}')
         axes = self._snapshot.sensor(name)
         return axes[0] if len(axes) == 1 else np.array(axes)
 

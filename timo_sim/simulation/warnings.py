@@ -85,9 +85,9 @@ def inaccurate(scene: Scene, error: float, deflection: float,
             remedy += f' or {axial}'
         if scene.values['model.formulation'] != 'exact':
             remedy = f'model.formulation exact, {remedy}'
-    return (f'the tip is {error:.1g} m from that of a finer run' if error > limit else
-            f'the deflection of the tip is {deflection:.1g} m from that of a finer run, by the '
-            f'angle of the shaft, and its place {error:.1g} m') + (
+    return (f'the estimated tip error is {error:.1g} m' if error > limit else
+            f'the estimated error of the tip deflection is {deflection:.1g} m, because of the '
+            f'shaft angle; that of the tip is {error:.1g} m') + (
         f': take {remedy}' if remedy else ', and no change of step, modes or equations alone '
         'mends that')
 
