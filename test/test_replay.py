@@ -351,7 +351,8 @@ def test_a_log_of_0_2_0_is_read_by_the_present_names(tmp_path):
     falsify(log, b'"sensor.encoder.noise": 0.0', b'"integrator.tolerance": 0.0')
     assert 'all are the same to the last bit' in call('replay', log, '-o', tmp_path / 'new.mcap')
     falsify(log, b'"integrator.tolerance": 0.0', b'"integrator.tolerance": 0.1')
-    assert 'split by integrator.tolerance: replay it with timo_sim 0.2.0' in call('replay', log, code=2)
+    assert 'split by integrator.tolerance: replay it with timo_sim 0.2.0' in call(
+        'replay', log, code=2)
 
 
 def test_views_say_what_a_bag_or_log_lacks(bag, log, tmp_path):
