@@ -26,7 +26,7 @@ METADATA := pyproject.toml setup.py setup.cfg
 
 .PHONY: help sim view test test-lowest test-without-ros browser graphics gallery picture modes pages paper \
 	benchmark benchmark-quick benchmark-speed benchmark-speed-quick benchmark-latency benchmark-control \
-	benchmark-fit composition observer references real-arm stability stretch stress stress-quick docs clean
+	benchmark-fit composition observer references real-arm stability stretch stress stress-quick notebooks docs clean
 
 help: ## list the targets
 	@sed -n 's/^\([a-z-]*\):.*## /\1\t/p' $(MAKEFILE_LIST) | expand -t 24
@@ -86,6 +86,10 @@ paper: $(VENV)/.plot ## fill doc/paper.md
 
 pages: $(VENV)/.run ## fill the tables of README.md and doc/
 	@$(BIN)/python doc/tables.py
+
+notebooks: $(VENV)/.docs ## run the notebooks and keep their outputs; what is compiled shows in the first run alone
+	@$(BIN)/jupyter execute --inplace doc/tutorial/*.ipynb
+	@$(BIN)/jupyter execute --inplace doc/tutorial/*.ipynb
 
 docs: $(VENV)/.docs ## make a site of the pages, build/docs
 	@$(BIN)/python -m sphinx -EqW --keep-going doc build/docs

@@ -21,10 +21,8 @@ release = timo_sim.__version__
 # MathJax is part of the site, which needs no network.
 extensions = ['myst_nb', 'numpydoc', 'sphinx.ext.autodoc', 'sphinx.ext.autosummary',
               'sphinx.ext.mathjax', 'sphinx-mathjax-offline']
-# Notebooks are kept without outputs.
-nb_execution_mode = 'force'
-nb_execution_raise_on_error = True
-nb_execution_timeout = 300  # [s] for a cell
+# Notebooks have their outputs (`make notebooks`).
+nb_execution_mode = 'off'
 myst_enable_extensions = ['dollarmath']
 myst_heading_anchors = 4
 highlight_language = 'none'
