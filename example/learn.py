@@ -92,12 +92,17 @@ def draw(path, history, period, goals, seen):
     """Draw the returns while it learns, and directions of the tip in some episodes."""
     import matplotlib.pyplot as plt
     figure, (left, right) = plt.subplots(1, 2, figsize=(9.0, 3.5), layout='constrained')
-    left.semilogx(1 + np.arange(len(history)), history)
+    several = min(20, len(history))
+    left.plot(history, color='0.8', label='of a generation')
+    left.plot(np.arange(several - 1, len(history)),
+              np.convolve(history, np.ones(several) / several, 'valid'),
+              label=f'mean of {several} generations')
+    left.legend()
     left.set(xlabel='generation', ylabel='mean return')
     times = period * np.arange(len(seen))
-    for k in np.argsort(goals)[::len(goals) // 8]:
-        line, = right.plot(times, np.degrees(goals[k] - seen[:, k, 0]))
-        right.axhline(math.degrees(goals[k]), color=line.get_color(), linewidth=0.5)
+    for k in np.argsort(goals)[len(goals) // 12::len(goals) // 6]:
+        right.axhline(math.degrees(goals[k]), color='0.6', linestyle=':')
+        right.plot(times, np.degrees(goals[k] - seen[:, k, 0]), color='C0')
     right.set(xlabel='t [s]', ylabel='direction of the tip, and its goal [deg]')
     figure.savefig(path, dpi=150)
 

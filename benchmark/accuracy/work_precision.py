@@ -29,7 +29,7 @@ import numpy as np
 
 from benchmark import ROOT
 from benchmark.accuracy.cases import INTEGRATOR, Method, methods_of, OWN, Scene, SCENES
-from benchmark.figures.work_precision import draw, FOLDER
+from benchmark.figures.work_precision import FOLDER, save
 from benchmark.process import install
 from benchmark.report import machine, parser
 from benchmark.timing import seconds
@@ -289,7 +289,7 @@ def main():
         stored[name] = [*stored.get(name, []), {'machine': facts, **figures}][-2:]
         path.write_text(json.dumps(stored, indent=1) + '\n', encoding='utf-8')
         if 'methods' in figures:
-            draw(figures).savefig(FOLDER / f'{name}.png', dpi=110)
+            save(name, figures)
     if not given.quick:
         subprocess.run([sys.executable, ROOT / 'doc' / 'tables.py'], check=True)
 

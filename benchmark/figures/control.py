@@ -141,14 +141,14 @@ def draw(records, path):
         t = record[:, 0]
         axes[0].plot(t, record[:, 9], color=colour, label=name, linewidth=1.0)
         axes[1].plot(t, 1e3 * record[:, 11], color=colour)
-        axes[2].semilogy(t, 1e3 * slew.distance(record), color=colour)
+        axes[2].plot(t, 1e3 * slew.distance(record), color=colour)
     for each, label in zip(axes, ('torque [N m]', 'tip deflection [mm]', 'tip off its goal [mm]')):
         each.set(ylabel=label)
         each.grid(alpha=0.3)
         each.axvline(slew.DURATION, color='grey', linestyle=':')
     axes[0].legend(ncols=4)
     axes[2].axhline(1e3 * slew.NEAR, color='grey', linestyle=':')
-    axes[2].set(xlabel='t [s]', ylim=(1e-4, 3e3))
+    axes[2].set(xlabel='t [s]', ylim=(0.0, 12.0))  # near the goal, which is 1 mm wide
     figure.savefig(path, dpi=100)
 
 

@@ -4,7 +4,8 @@
 """
 Draws doc/benchmark/*.png, run time against error, from doc/benchmark/work_precision.json.
 
-`make benchmark` writes that file and these pictures; `make picture` draws them without measuring.
+Each picture has the fastest methods of each family; *_all.png has all methods. `make benchmark`
+writes that file and these pictures; `make picture` draws them without measuring.
 """
 
 import json
@@ -24,8 +25,8 @@ FAMILIES = (({'timo_sim'}, 'timo_sim', BLUE, 'o'),
 APART = 0.043  # least distance of labels, in heights of the axes
 
 
-def draw(run):
-    """Return a figure of the fastest settings of a run of the benchmark, by error and method."""
+def draw(run, everything):
+    """Return a figure of the fastest settings of a run, by error, of the best or all methods."""
     goals, methods = run['goals_m'], run['methods']
     reached = {method: [each and each['seconds'] for each in found['best']]
                for method, found in methods.items() if found['best'][0]}
@@ -35,14 +36,14 @@ def draw(run):
              xticklabels=[f'{goal:g} m' for goal in goals],
              xlabel='for an error of the tip deflection below',
              ylabel='CPU time of the solver [s]')
-    times = np.array([value for values in reached.values() for value in values if value])
-    axes.set_ylim(0.7 * times.min(), 1.4 * times.max())
-    labels = []
+    labels, times = [], []
     for kinds, words, colour, marker in FAMILIES:
         family = {method: values for method, values in reached.items()
                   if methods[method]['kind'] in kinds}
         best = {min((values[k], method) for method, values in family.items() if values[k])[1]
                 for k in range(len(goals)) if any(values[k] for values in family.values())}
+        if not everything:
+            family = {method: family[method] for method in best}
         axes.plot([], [], color=colour, marker=marker, label=words)
         for method, values in family.items():
             style = {'lw': 2.4, 'ms': 7, 'zorder': 3} if method in best else {
@@ -50,12 +51,20 @@ def draw(run):
             count = sum(value is not None for value in values)
             axes.plot(range(count), values[:count], color=colour, marker=marker, **style)
             labels.append((values[0], method, colour, method in best))
+            times += values[:count]
+    axes.set_ylim(0.6 * min(times), 1.6 * max(times))
     _label(axes, sorted(labels))
-    missed = [method for method in methods if method not in reached]
+    missed = everything and [method for method in methods if method not in reached]
     axes.set_title('not reached: ' + '; '.join(missed) if missed else '', fontsize=9, loc='left')
     axes.grid(alpha=0.3)
     figure.legend(loc='outside lower center', ncols=len(FAMILIES), fontsize=9, frameon=False)
     return figure
+
+
+def save(name, run):
+    """Write both pictures of a scene."""
+    for everything, end in ((False, ''), (True, '_all')):
+        draw(run, everything).savefig(FOLDER / f'{name}{end}.png', dpi=110)
 
 
 def _label(axes, labels):
@@ -80,7 +89,7 @@ def main():
     stored = json.loads((FOLDER / 'work_precision.json').read_text(encoding='utf-8'))
     for name, runs in stored.items():
         if 'methods' in runs[-1]:
-            draw(runs[-1]).savefig(FOLDER / f'{name}.png', dpi=110)
+            save(name, runs[-1])
 
 
 if __name__ == '__main__':
