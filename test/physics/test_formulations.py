@@ -82,6 +82,25 @@ def test_energy_is_that_of_masses_and_strain(values, picked_up):
     assert model.energy(motions[:0]).shape == (0,)
 
 
+@pytest.mark.parametrize('held', ['none', 'both'])
+def test_a_state_has_the_momenta_that_the_mass_matrix_gives(held):
+    """Of a free manipulator P, its spin about the mass centre, and that centre."""
+    model = timo_sim.load_scene({}, {'carrier.held': held, 'hub.radius': 0.1}).build()
+    motion = np.random.default_rng(3).normal(scale=0.4, size=model.size)
+    state, half = model.state(motion), model.size // 2
+    motion[half:half + 2] *= held == 'none'
+    momenta = model.mass_matrix(motion)[0] @ motion[half:]
+    if held == 'both':
+        assert state[len(state) // 2:] == pytest.approx(momenta[2:], rel=1e-12)
+        return
+    mass, points = model.point_mass, model.world(motion[np.newaxis], model.points)[0]
+    centre = (model.manipulator.base_mass * motion[:2] + mass @ points) / model.mass
+    x, y = centre - motion[:2]
+    spin = momenta[2] - (x * momenta[1] - y * momenta[0])
+    assert state[:2] == pytest.approx(centre, rel=1e-12)
+    assert state[half:half + 3] == pytest.approx([*momenta[:2], spin], rel=1e-12)
+
+
 @pytest.mark.parametrize('values', [
     {'model.modes': 0}, {'model.modes': 12}, {'arm.shear_modulus': 1e6},
     {'model.modes': 5, 'arm.profile.position': [0.0, 1.2, 1.2, 2.0],

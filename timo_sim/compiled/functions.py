@@ -43,12 +43,12 @@ class Declaration(Function):
         super().__init__(function)
         self.bodies: dict[Any, Function] = {}
 
-    def of(self, kind: type, merge: bool = False,
-           duals: bool = False) -> Callable[[Callable], Function]:
+    def of(self, kind: type, merge: bool = False, duals: bool = False,
+           fast: bool = True) -> Callable[[Callable], Function]:
         """Return a decorator that registers the body for constants of a kind, see `Function`."""
         def add(function: Callable) -> Function:
             made = self.bodies[(kind, 'duals') if duals else kind] = Function(
-                function, merge=merge)
+                function, fast, merge)
             return made
         return add
 

@@ -165,24 +165,6 @@ class Exact(Formulation):
             tables = tables._replace(linear_rate=rate.transpose(1, 0, 2))
         return tables, linear
 
-    def state(self, motion: np.ndarray) -> np.ndarray:
-        """Return the states that belong to motions, shape (..., m)."""
-        half, table, axes = self.size // 2, self.tables, self.axes
-        coordinates, speed = motion[..., 2:half], motion[..., half + 2:]
-        cosine, sine, a, b = self._slopes(coordinates)
-        centre = motion[..., :2] + np.stack([a, b], axis=-2) @ table.to_centre
-        cosine, sine, a, b = (each[..., np.newaxis, :] for each in (cosine, sine, a, b))
-        slope = np.stack([-b * table.rotation - sine * table.shear + cosine * self._stretch,
-                          a * table.rotation + cosine * table.shear + sine * self._stretch], -3)
-        matrix = table.rotary + np.sum(slope @ table.kernel @ slope.swapaxes(-1, -2), axis=-3)
-        momentum = table.mass * (motion[..., half:half + 2] + (
-            speed[..., np.newaxis, np.newaxis, :] @ slope)[..., 0, :] @ table.to_centre)
-        momenta = (matrix @ speed[..., np.newaxis])[..., 0]
-        rates = momenta.shape[-1] - self._rate_count
-        momenta[..., rates:] = speed[..., rates:]
-        return np.concatenate([centre[..., axes], coordinates[..., self.driven:],
-                               momentum[..., axes], momenta[..., self.driven:]], axis=-1)
-
     def centre_line(self, q: np.ndarray, points: Points) -> np.ndarray:
         """Return the integral of the slopes from the shaft's axis."""
         a, b = self._slopes(self._relative(q))[2:]

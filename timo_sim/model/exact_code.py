@@ -103,16 +103,23 @@ class Work(NamedTuple):
 # Slopes of the centre line and their derivatives, (T22) to (T24).
 
 @inner
-def _set_slopes(tables, state, load, work):
-    """Set q, cosine and sine of phi, a, b (T23), C1 and C2 (T24)."""
+def _set_slopes_of_state(tables, state, load, work):
+    """Set q and what `_set_slopes` sets."""
+    count = len(tables.rotation)
+    driven = count - len(tables.straight)
+    work.coordinate[0] = load[ANGLE]
+    for i in range(driven, count):
+        work.coordinate[i] = state[len(tables.axes) + i - driven]
+    _set_slopes(tables, work)
+
+
+@inner
+def _set_slopes(tables, work):
+    """Set cosine and sine of phi, a, b (T23), C1 and C2 (T24)."""
     a, b, c1, c2, cosine, sine = work.a, work.b, work.c1, work.c2, work.cosine, work.sine
     coordinate = work.coordinate
     rotation, shear = as_vectors(tables.rotation), as_vectors(tables.shear)
     count, nodes = rotation.shape
-    driven = count - len(tables.straight)
-    coordinate[0] = load[ANGLE]
-    for i in range(driven, count):
-        coordinate[i] = state[len(tables.axes) + i - driven]
     for j in range(nodes):
         phi = 0.0
         gamma = 0.0
@@ -404,7 +411,7 @@ def _rate(tables, state, load, out):
     """Write the state's rate less its linear part."""
     numbers = local_arrays(Work, tables)
     work = as_vectors(numbers)
-    _set_slopes(tables, state, load, work)
+    _set_slopes_of_state(tables, state, load, work)
     _set_speed(tables, state, load, numbers, work)
     rows, across = tables.rotation, tables.to_centre
     rotation, shear = as_vectors(rows), as_vectors(tables.shear)
@@ -487,7 +494,7 @@ def _observe(tables, state, load, out):
     rows, across = tables.rotation, tables.to_centre
     numbers = local_arrays(Work, tables)
     work = as_vectors(numbers)
-    _set_slopes(tables, state, load, work)
+    _set_slopes_of_state(tables, state, load, work)
     _set_speed(tables, state, load, numbers, work)
     to_centre, half = as_vectors(across), len(out) // 2
     for i in range(len(rows)):
@@ -504,6 +511,52 @@ def _observe(tables, state, load, out):
             centre += to_centre[j] * slope[j]
         out[axis] = state[k] - sum_of(centre, across)
         out[half + axis] = carrier_speed(tables, state, k, derivative, work.speed)
+
+
+@functions.state_of.of(Tables, fast=False)
+def _state_of(tables, motion, out):
+    """Write mass centre, coordinates, P (T27) and M q' = Xi q' + C1 K a' + C2 K b', or rates."""
+    numbers = local_arrays(Work, tables)
+    work, kernel, to_centre = (as_vectors(numbers), as_vectors(tables.kernel),
+                               as_vectors(tables.to_centre))
+    speed, a, b, g1, g2 = work.speed, work.image_1[0], work.image_2[0], work.g1, work.g2
+    count, nodes = work.c1.shape
+    driven, axes, half = count - len(tables.straight), len(tables.axes), len(motion) // 2
+    for i in range(count):
+        work.coordinate[i], speed[i] = motion[2 + i], motion[half + 2 + i]
+    _set_slopes(tables, work)
+    for j in range(nodes):
+        a[j], b[j] = 0.0 * work.a[j], 0.0 * work.b[j]
+        for i in range(count):
+            a[j] += speed[i] * work.c1[i, j]
+            b[j] += speed[i] * work.c2[i, j]
+    for j in range(nodes):
+        total_1, total_2 = 0.0, 0.0
+        for k in range(kernel.shape[1]):
+            total_1 += numbers.image_1[0, k] * kernel[0, k, j]
+            total_2 += numbers.image_2[0, k] * kernel[len(kernel) - 1, k, j]
+        g1[j], g2[j] = total_1, total_2
+    for k in range(axes):
+        axis = tables.axes[k]
+        slope, rate = (work.a, a) if axis == 0 else (work.b, b)
+        centre, speed_of_centre = 0.0, 0.0
+        for j in range(nodes):
+            centre += to_centre[j] * slope[j]
+            speed_of_centre += to_centre[j] * rate[j]
+        out[k] = motion[axis] + sum_of(centre, tables.to_centre)
+        out[half_length(tables) + k] = tables.mass * (
+            motion[half + axis] + sum_of(speed_of_centre, tables.to_centre))
+    for i in range(driven, count):
+        place = axes + i - driven
+        out[place], out[half_length(tables) + place] = motion[2 + i], motion[half + 2 + i]
+        if i < count - len(tables.linear_rate):
+            product = 0.0
+            for j in range(nodes):
+                product += work.c1[i, j] * g1[j] + work.c2[i, j] * g2[j]
+            total = sum_of(product, tables.to_centre)
+            for j in range(count):
+                total += tables.rotary[i, j] * speed[j]
+            out[half_length(tables) + place] = total
 
 
 @functions.joint_place.of(Tables, merge=True)

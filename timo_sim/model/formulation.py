@@ -17,7 +17,7 @@ from timo_sim.compiled.constants import pack, Packed
 from timo_sim.model.bodies import Constraints, Manipulator, Quadrature
 from timo_sim.model.functions import (
     accelerations_of, coulomb, efforts, energies, Flow, gear_torque, Outline, rate_once, Root,
-    tips, within)
+    states, tips, within)
 from timo_sim.model.layout import LINKS, LOADS, rotate
 from timo_sim.model.modes import axial_modes, GearMode, JoinedModes, Modes, modes_of
 
@@ -236,9 +236,12 @@ class Formulation(ABC):
     def build(self) -> tuple[Any, np.ndarray]:
         """Return the tables and the linear part."""
 
-    @abstractmethod
     def state(self, motion: np.ndarray) -> np.ndarray:
         """Return the states that belong to motions, (..., 2 (3 + N)), shape (..., m)."""
+        motions = np.ascontiguousarray(motion, dtype=float).reshape(-1, self.size)
+        found = np.empty((len(motions), len(self.linear)))
+        states.of(self.packed, any_size=True)(motions, len(motions), found)
+        return found.reshape(*motion.shape[:-1], -1)
 
     def effort(self, motions: np.ndarray, accelerations: np.ndarray,
                loads: np.ndarray) -> np.ndarray:

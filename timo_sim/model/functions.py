@@ -36,6 +36,11 @@ def observe(tables, state, load, out):
 
 
 @declare
+def state_of(tables, motion, out):
+    """Write the state that belongs to a motion: what `observe` makes a motion of."""
+
+
+@declare
 def joint_place(tables, state, load, joint):
     """Return the place of a joint: carrier x, y, rotor (the shaft of a rigid gear), shaft."""
 
@@ -315,6 +320,14 @@ def accelerations_of(tables, flow, motions, states, loads, count, out, tips):
 def rate_once(tables, state, load, out):
     """Call `rate` from Python."""
     rate(tables, state, load, out)
+
+
+@entry_point(tables=Constants(), motions=Array((None, 'motion')), count=int,
+             out=Array((None, 'state')))
+def states(tables, motions, count, out):
+    """Call `state_of` from Python for each of `count` motions."""
+    for k in range(count):
+        state_of(tables, motions[k], out[k])
 
 
 @entry_point(tables=Constants(), motions=Array((None, 'motion')), count=int,

@@ -185,12 +185,6 @@ class Newton(Formulation):
             modal_mass=turning_mass[1:, 1:])
         return tables, linear
 
-    def state(self, motion: np.ndarray) -> np.ndarray:
-        """Return the states that belong to motions, shape (..., m)."""
-        half = self.size // 2
-        free = np.concatenate([self.axes, np.arange(2 + self.driven, half)])
-        return motion[..., np.concatenate([free, half + free])]
-
     @cached_property
     def _tension(self):
         # Geometric stiffness of the first mode per axial force on the tip and on the arm, per
@@ -499,6 +493,20 @@ def _observe(tables, state, load, out):
         driven = len(tables.softening) - len(tables.inverse)
         for i in range(driven, len(tables.softening)):
             out[goal + 2 + i] = state[source + len(tables.axes) + i - driven]
+
+
+@functions.state_of.of(Tables)
+def _state_of(tables, motion, out):
+    """Write the motion's free coordinates and their rates."""
+    axes, rows, half = len(tables.axes), len(tables.softening), _half(tables)
+    driven = rows - len(tables.inverse)
+    parts = (0, 0), (len(motion) // 2, half)
+    for k in range(2):
+        source, goal = parts[k]
+        for j in range(axes):
+            out[goal + j] = motion[source + tables.axes[j]]
+        for i in range(driven, rows):
+            out[goal + axes + i - driven] = motion[source + 2 + i]
 
 
 @functions.joint_place.of(Tables, merge=True)
