@@ -83,6 +83,12 @@ SCENES = {
              'motor.rotor.inertia': 0.5, 'motor.rotor.coulomb_friction': 0.1,
              'motor.rotor.viscous_friction': 0.2, 'motor.coulomb_friction': 0.1,
              'motor.coulomb_speed': 0.2, 'motor.coulomb_asymmetry': 0.5},
+    'payloads': {'payload.time': [0.03, 0.031, 0.07], 'payload.mass': [2.0, 4.0, 0.5],
+                 'payload.inertia': [0.1, 0.2, 0.0], 'carrier.coulomb_friction': 1.0,
+                 'initial.shaft_velocity': 3.0},
+    'payloads, one axis held': {
+        'payload.time': [0.03], 'payload.mass': [4.0], 'payload.inertia': [0.2],
+        'carrier.held': 'x', 'initial.shaft_velocity': 20.0},
     'rate limits': {'motor.torque_rate_limit': 150.0, 'carrier.force_rate_limit': 400.0,
                     'motor.torque_limit': 1.5},
     'driven': {'motor.shaft': 'driven', 'motor.drive.time': [0.0, 0.0303, 0.05],
@@ -192,7 +198,7 @@ def test_derivatives_are_those_of_python(name, tmp_path):
 FORCES = {
     **{name: SCENES[name] for name in (
         'held', 'viscous and smooth', 'sticking', 'axial', 'rigid, with a motor', 'sectors',
-        'driven',
+        'driven', 'payloads',
         'limited current', 'limited current behind a gear')},
     'driven newton': {**SCENES['driven'], 'model.formulation': 'newton'},
     'locked newton': {'model.formulation': 'newton', 'motor.shaft': 'locked',
@@ -314,8 +320,10 @@ def test_an_emulated_processor_differs_by_round_off(other, name, estimate, tmp_p
 
 
 def test_saved_state_goes_on_to_the_bit(tmp_path):
-    """Also of the finer run; and a reset begins anew."""
-    export('paper', tmp_path, estimate=True)
+    """Also of the finer run, and before a load is picked up; and a reset begins anew."""
+    export(timo_sim.load_scene('paper', {
+        'model.modes': 1, 'payload.time': [0.03], 'payload.mass': [4.0],
+        'payload.inertia': [0.2]}), tmp_path, estimate=True)
     begin, going_on = ['i 4 0.7', 's 20'], ['w', 's 15', 'o', 'w']
     found = run_program(compile_program(RUN, tmp_path), [
         *begin, 'g', *going_on, 'i 4 -1', 's 40', 'p', *going_on, 'r', *begin, *going_on])
@@ -401,9 +409,10 @@ def test_page(tmp_path):
 
 
 def test_refused(tmp_path):
-    payload = {'payload.time': [1.0], 'payload.mass': [1.0], 'payload.inertia': [0.0]}
+    payload = {'payload.time': [1.0], 'payload.mass': [1.0], 'payload.inertia': [0.0],
+               'end_effector.pick_up': 'at_rest'}
     for changes, options, message in (
-            (payload, {}, 'payload.time'),
+            (payload, {}, 'end_effector.pick_up must be moving'),
             ({'model.accuracy': 1e-5}, {}, 'model.accuracy must be 0'),
             ({'carrier.held': 'x', 'model.axial_modes': 1}, {}, 'model.axial_modes must be 0'),
             ({}, {'target': 'pdp11'}, 'target must be host, x86-64-v2'),

@@ -5,7 +5,8 @@
 
 from typing import NamedTuple
 
-from timo_sim.compiled.constants import pack, Packed
+import numpy as np
+
 from timo_sim.export.instance import Plant
 from timo_sim.model.layout import INPUTS
 from timo_sim.scene.parameters import ParameterError, PARAMETERS
@@ -55,7 +56,8 @@ def refuse(scene: Scene, estimate: bool) -> None:
 
     check(values['model.accuracy'] > 0.0, 'model.accuracy', '0',
           'state model.modes and integrator.step')
-    check(scene.payloads, 'payload.time', 'empty', 'the load at the tip is constant in the C code')
+    check(scene.payloads and values['end_effector.pick_up'] == 'at_rest', 'end_effector.pick_up',
+          'moving', 'the C code has no plastic impact')
     check(scene.build().sectors and values['model.axial_modes'], 'model.axial_modes',
           '0 with one axis held and a shaft that turns',
           'the linear parts would take tens of megabytes')
@@ -117,13 +119,14 @@ def _limits(inputs, values):
             for (name, of_rate), limited in columns.items()]
 
 
-def plant_of(simulator: Simulator) -> Packed:
+def plant_of(simulator: Simulator) -> Plant:
     """Return the constants of a model and its start."""
     scene, model = simulator.scene, simulator.model
-    return pack(Plant(
+    return Plant(
         step=scene.step, length=model.tip_point.lever[0],
         most_bent=MOST_BENT * model.manipulator.arm.length, travel=model.tip_travel[3:],
         tip_rotation=model.points.rotation[:, -1], points_rotation=model.points.rotation,
         gravity=model.gravity, linear=model.linear,
         start=model.state(scene.initial_motion(model)), first_load=simulator.load,
-        first_friction=simulator.integration.memory.copy()))
+        first_friction=simulator.integration.memory.copy(),
+        changes=np.array([step for step, *_ in scene.payloads], dtype=np.int64))

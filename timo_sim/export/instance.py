@@ -18,7 +18,7 @@ from timo_sim.compiled.functions import (
     Array, Constants, floor, inner, square_root, strict, WIDTH)
 from timo_sim.model.functions import (
     accelerate, copy, effort, energy, linear_part_is_valid, motor_effort, place_point, root_forces,
-    root_strain, sincos)
+    root_strain, rotor_turn, sincos, state_of)
 from timo_sim.model.layout import (
     AFTER, FORCE_I, FORCE_II, FORCE_X, FORCE_Y, LOADS, MOTOR_FRICTION, START, STEP_LOADS)
 from timo_sim.steps.bristles import BRISTLES, COLUMNS, MEMORY
@@ -39,6 +39,7 @@ class Code(IntEnum):
     BAD_STATE = 7
     DIVERGED = 8
     NOT_POSITIVE = 9
+    TIP_CHANGES = 10
 
 
 _OK, _NOT_FINITE, _BAD_STATE, _DIVERGED, _NOT_POSITIVE = (int(code) for code in (
@@ -46,8 +47,8 @@ _OK, _NOT_FINITE, _BAD_STATE, _DIVERGED, _NOT_POSITIVE = (int(code) for code in 
 
 # Places in `Instance.mark`: what shows that the memory is an instance, steps done, number of the
 # linear part, which `Instance.outputs` are those of now (0: none, 1: those of the motion, 2: all),
-# and whether the finer run diverged.
-MARK, STEPS, PART, KNOWN, LOST = range(5)
+# whether the finer run diverged, and how often the load at the tip has changed.
+MARK, STEPS, PART, KNOWN, LOST, TIP = range(6)
 MAGIC = 0x74696d6f5f73696d  # 'timo_sim'
 _LARGEST = 1e12  # of a number of a saved motion; from some 1e18 on outputs are not finite
 _MOST_STEPS = 2.0**53  # to which steps are counted in a saved state
@@ -56,7 +57,7 @@ _MOST_STEPS = 2.0**53  # to which steps are counted in a saved state
 class Instance(NamedTuple):
     """The memory of an instance; its functions change it."""
 
-    mark: Annotated[np.ndarray, int, 5]
+    mark: Annotated[np.ndarray, int, 6]
     inputs: Annotated[np.ndarray, LOADS]  # commands
     load: Annotated[np.ndarray, LOADS]    # at the end of the last step
     acting: Annotated[np.ndarray, LOADS]  # the same with dry friction
@@ -78,7 +79,7 @@ class Instance(NamedTuple):
 
 
 class Plant(NamedTuple):
-    """Constants of a model and of its start."""
+    """Constants of a model, with one of its loads at the tip, and of its start."""
 
     step: float  # [s]
     length: float  # from the shaft's axis to the tip of the straight arm [m]
@@ -91,6 +92,7 @@ class Plant(NamedTuple):
     start: Annotated[np.ndarray, 'state']  # the initial state
     first_load: Annotated[np.ndarray, LOADS]  # the scene's own at its beginning
     first_friction: Annotated[np.ndarray, MEMORY]  # what the first step begins with
+    changes: Annotated[np.ndarray, int, 'changes']  # steps before which the load at the tip does
 
 
 @entry_point(plant=Constants(), actuators=Constants(), instance=Constants())
@@ -175,6 +177,30 @@ def prepare(loads, actuators, instance, inputs):
     return _OK
 
 
+@entry_point(plant=Constants(), instance=Constants())
+def tip_is_due(plant, instance):
+    """Return whether the load at the tip changes before the next step."""
+    made = instance.mark[TIP]
+    due = made < len(plant.changes) and plant.changes[made] <= instance.mark[STEPS]
+    return 1 if due else 0
+
+
+@entry_point(tables=Constants(), instance=Constants())
+def take_motion(tables, instance):
+    """Go on from the motion, with the present load at the tip."""
+    state_of(tables, instance.motion, instance.state)
+    return _OK
+
+
+@inner
+def _find_tip(plant, instance):
+    """Note how often the load at the tip has changed when so many steps are done."""
+    instance.mark[TIP] = 0
+    for k in range(len(plant.changes)):
+        if plant.changes[k] < instance.mark[STEPS]:
+            instance.mark[TIP] = k + 1
+
+
 @entry_point(plant=Constants(), instance=Constants(), done=int)
 def finish(plant, instance, done):
     """Accept a step that was done, or return to the state before it."""
@@ -185,6 +211,7 @@ def finish(plant, instance, done):
     if done != 1 or not bend <= plant.most_bent:
         copy(instance.before, instance.state)
         copy(instance.friction_before, instance.friction)
+        _find_tip(plant, instance)
         return _DIVERGED
     instance.mark[STEPS] += 1
     instance.mark[KNOWN] = 0
@@ -267,7 +294,7 @@ def set_forces(tables, plant, root, instance):
     sine, cosine = sincos(motion[2])
     out[18] = load[FORCE_X] + cosine * load[FORCE_I] - sine * load[FORCE_II]
     out[19] = load[FORCE_Y] + sine * load[FORCE_I] + cosine * load[FORCE_II]
-    out[20] = motor_effort(tables, load, _at_rotor(root, motion, half))
+    out[20] = motor_effort(tables, load, rotor_turn(root, motion, half))
     for joint in range(3):
         if root.constrained[joint] != 0:
             out[18 + joint] = needed[joint] - out[18 + joint]
@@ -276,17 +303,6 @@ def set_forces(tables, plant, root, instance):
     out[21] = energy(tables, motion, plant.gravity)
     instance.mark[KNOWN] = 2
     return _OK
-
-
-@inner
-def _at_rotor(root, motion, begin):
-    """Return the angle (begin = 0) or speed of the rotor, or the shaft, where motors act."""
-    value = motion[begin + 2]
-    for n in range(len(root.rotor)):
-        value = 0.0
-        for i in range(len(motion) // 2):
-            value += root.rotor[n, i] / root.rotor[n, 2] * motion[begin + i]
-    return value
 
 
 @entry_point(plant=Constants(), root=Constants(), instance=Constants())
@@ -308,7 +324,7 @@ def set_outputs(plant, root, instance):
         out[MODAL + modes + k] = motion[half + 3 + k]
     out[12] = turning
     out[13] = motion[2]
-    out[14] = _at_rotor(root, motion, 0)
+    out[14] = rotor_turn(root, motion, 0)
     out[MODAL + 2 * modes] = instance.error[0]
     instance.mark[KNOWN] = 1
     return _OK
@@ -408,8 +424,9 @@ def check_state(instance, values):
     return _OK
 
 
-@entry_point(actuators=Constants(), instance=Constants(), values=Array((None,)))
-def set_state(actuators, instance, values):
+@entry_point(plant=Constants(), actuators=Constants(), instance=Constants(),
+             values=Array((None,)))
+def set_state(plant, actuators, instance, values):
     """Go on from a saved state, which was checked."""
     instance.mark[STEPS] = int(values[0])
     actuators.since[0] = int(values[1])
@@ -417,5 +434,6 @@ def set_state(actuators, instance, values):
     instance.mark[KNOWN] = 0
     instance.mark[PART] = 0
     instance.error[0] = values[3]
+    _find_tip(plant, instance)
     _exchange_all(actuators, instance, values, False)
     return _OK

@@ -19,14 +19,15 @@ from timo_sim.compiled.constants import pack, Packed
 from timo_sim.compiled.functions import Constants, WIDTH
 from timo_sim.export import instance as steps
 from timo_sim.export.constants import Interface, plant_of
-from timo_sim.export.instance import Code, Instance, KNOWN, LOST, MAGIC, PART, SAVED
+from timo_sim.export.instance import Code, Instance, KNOWN, LOST, MAGIC, PART, SAVED, TIP
 from timo_sim.model.functions import tips
 from timo_sim.model.layout import LOADS, STEP_LOADS
 from timo_sim.simulation.derivatives import unit_loads_of
-from timo_sim.simulation.loads import Actuators
+from timo_sim.simulation.loads import Actuators, tip_of
 from timo_sim.steps.bristles import MEMORY
 from timo_sim.steps.derivatives import entry_for
 from timo_sim.steps.etdrk4 import advance
+from timo_sim.steps.steps import Steps
 
 _POINTER, _WORD, _INT, _REAL = ir.PointerType(), ir.IntType(64), ir.IntType(32), ir.DoubleType()
 _ALIGNMENT = 8  # of the memory of an instance [B]
@@ -40,6 +41,7 @@ TEXTS = {
     Code.NEGATIVE_STEPS: 'the number of steps is negative',
     Code.BAD_STATE: 'the values are no saved state',
     Code.NOT_POSITIVE: 'a limit must be > 0',
+    Code.TIP_CHANGES: 'the load at the tip changes before the next step',
     Code.DIVERGED: 'the run diverged: it is at the last good step; take a smaller time step',
 }
 
@@ -51,23 +53,29 @@ class _Model:
         self.number, self._target = number, target
         self.modules, self._functions = [], {}
         scene, model = simulator.scene, simulator.model
-        # Tables and propagators of each linear part.
-        self.parts = [*zip(*(simulator.integration.part(sector) for sector in (
-            range(model.sectors) if model.sectors else [None])))]
-        self.plant, self.loads = plant_of(simulator), pack(scene.load.rows(scene.step))
-        self.tables, self.actuators = model.packed, Actuators(scene.values).packed
+        # The loads at the tip in turn, each with tables and propagators of each linear part.
+        self.sectors = range(model.sectors) if model.sectors else [None]
+        tips = [simulator.integration, *(
+            Steps(scene.build(tip, tip_of(scene)), scene.step, scene.bristles)
+            for _, *tip in scene.payloads)]
+        self.parts = [*zip(*(each.part(sector) for each in tips for sector in self.sectors))]
+        self.tables = tuple(each.model.packed for each in tips)
+        self.bristles = tuple(each.bristles for each in tips)
+        plant = plant_of(simulator)
+        self.plant = tuple(pack(plant._replace(linear=each.model.linear)) for each in tips)
+        self.loads, self.actuators = (
+            pack(scene.load.rows(scene.step)), Actuators(scene.values).packed)
         self.root, self.outline = pack(model.root), pack(model.outline)
         self.errors = scene.sensor_errors
         # The finer run has no sensors.
         self.senses = number == 0 and scene.has_sensor_errors
         self.delay = int(max(self.errors.delay))
-        self.bristles = simulator.integration.bristles
         # What steps are differentiated by.
         self.differentiate, self.places = entry_for(model), model.free_places
         self.units = unit_loads_of(scene.values, [each.column for each in interface.inputs])
         outputs = steps.MODAL + 2 * len(model.modes) + 1
         self.instance = pack(Instance._make([
-            np.zeros(5), *3 * [np.zeros(LOADS)], *2 * [np.zeros(MEMORY)], *2 * [np.zeros(1)],
+            np.zeros(1 + TIP), *3 * [np.zeros(LOADS)], *2 * [np.zeros(MEMORY)], *2 * [np.zeros(1)],
             *2 * [np.zeros(len(model.linear))], np.zeros((1, STEP_LOADS, LOADS)),
             np.zeros(WIDTH), *2 * [np.zeros(model.size)], *2 * [np.zeros(3)],
             np.zeros(outputs),
@@ -76,8 +84,8 @@ class _Model:
     @property
     def blocks(self):
         """All constants, in an order that does not depend on their values."""
-        return [self.plant, self.loads, self.tables, self.actuators, self.root, self.outline,
-                self.errors, self.bristles, *(each for parts in self.parts for each in parts)]
+        return [*self.plant, self.loads, *self.tables, self.actuators, self.root, self.outline,
+                self.errors, *self.bristles, *(each for parts in self.parts for each in parts)]
 
     @property
     def length(self):
@@ -179,8 +187,16 @@ class _Body:
         if name == 'instance':
             return model.instance, instance
         packed = getattr(model, name)
+        if isinstance(packed, tuple):  # one for each load at the tip
+            return self.one_of(packed, self.read_mark(instance, TIP) if len(packed) > 1 else 0)
         return packed, (self.at(instance, model.instance.length) if name == 'actuators' else
                         self.data(packed))
+
+    def one_of(self, packed, number):
+        """Return one of several constants of a kind, by its number, and its place."""
+        place = self.data(*packed)
+        return packed[0], place if isinstance(number, int) else self.at(
+            place, self.builder.mul(number, self.word(packed[0].length)))
 
     def call(self, model, instance, entry, *arguments, **others):
         """Call an entry point with the constants of a model and an instance, or with `others`."""
@@ -213,29 +229,31 @@ class _Body:
 
         Return its tables and propagator by name, each with its place.
         """
-        builder, first_parts = self.builder, [each[0] for each in model.parts]
-        lengths, count = [self.word(each.length) for each in first_parts], len(model.parts[0])
-        places = [self.data(*packed) for packed in model.parts]
+        builder, count, number = self.builder, len(model.sectors), 0
+        if len(model.tables) > 1:
+            number = builder.mul(self.read_mark(instance, TIP), self.word(count))
         if count > 1:
+            first_of_tip = number if len(model.tables) > 1 else self.word(0)
             part = self.read_mark(instance, PART)
             first, tries = builder.block, builder.append_basic_block()
             builder.branch(tries)
             builder.position_at_end(tries)
-            number, tried = builder.phi(_WORD), builder.phi(_WORD)
-            number.add_incoming(part, first)
+            sector, tried = builder.phi(_WORD), builder.phi(_WORD)
+            sector.add_incoming(part, first)
             tried.add_incoming(self.word(1), first)
-            tables = self.at(places[0], builder.mul(number, lengths[0]))
-            good = self.call(model, instance, steps.is_valid, tables=(first_parts[0], tables))
-            following = builder.urem(builder.add(number, self.word(1)), self.word(count))
-            number.add_incoming(following, builder.block)
+            number = builder.add(first_of_tip, sector)
+            good = self.call(model, instance, steps.is_valid,
+                             tables=self.one_of(model.parts[0], number))
+            following = builder.urem(builder.add(sector, self.word(1)), self.word(count))
+            sector.add_incoming(following, builder.block)
             tried.add_incoming(builder.add(tried, self.word(1)), builder.block)
             found = builder.append_basic_block()
             more = builder.icmp_signed('<', tried, self.word(count))
             builder.cbranch(builder.and_(self.equal(good, 0), more), tries, found)
             builder.position_at_end(found)
-            builder.store(number, self.mark(instance, PART))
-            places = [tables, self.at(places[1], builder.mul(number, lengths[1]))]
-        return dict(zip(('tables', 'propagator'), zip(first_parts, places)))
+            builder.store(sector, self.mark(instance, PART))
+        return {name: self.one_of(packed, number)
+                for name, packed in zip(('tables', 'propagator'), model.parts)}
 
     def emit_advance(self, model, instance, count, every):
         memory, heat, motion, *given = (self.field(model, instance, name) for name in (
@@ -244,10 +262,22 @@ class _Body:
         constants = self.emit_choice_of_part(model, instance)
         return self.call(model, instance, advance, memory, *given, motion, heat, **constants)
 
+    def emit_change_of_tip(self, model, instance):
+        """Emit the change of the load at the tip, if one is due before a step."""
+        if len(model.tables) == 1:
+            return
+        due = self.call(model, instance, steps.tip_is_due)
+        with self.builder.if_then(self.equal(due, 1)):
+            self.emit_advance(model, instance, 0, 1)  # writes the motion
+            following = self.builder.add(self.read_mark(instance, TIP), self.word(1))
+            self.builder.store(following, self.mark(instance, TIP))
+            self.call(model, instance, steps.take_motion)
+
     def define_model_step(self, model):
         """Define the function that does one step of a model under commands."""
         instance, inputs = self.function(f'step.{model.number}', _WORD, _POINTER, _POINTER)
         self.call(model, instance, steps.prepare, inputs)
+        self.emit_change_of_tip(model, instance)
         done = self.emit_advance(model, instance, 1, 0)
         self.builder.ret(self.call(model, instance, steps.finish, done))
 
@@ -428,6 +458,9 @@ class _Body:
     def define_derivatives(self):
         own = self.models[0]
         instance, values = self.public('step_derivatives', _POINTER)
+        if len(own.tables) > 1:
+            self.fail_if(self.equal(self.call(own, instance, steps.tip_is_due), 1),
+                         Code.TIP_CHANGES)
         # The step is not done, so its commands begin no lines: actuators are as before.
         _, actuators = self.constants(own, instance, 'actuators')
         kept = self.builder.alloca(_WORD, self.word(own.actuators.length // 8))

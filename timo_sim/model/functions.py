@@ -221,6 +221,17 @@ def root_forces(tables, root, motion, accelerations, needed, load):
 
 
 @inner
+def rotor_turn(root, motion, begin):
+    """Return the angle (begin = 0) or speed of the rotor, or the shaft, where motors act."""
+    value = motion[begin + 2]
+    for n in range(len(root.rotor)):
+        value = 0.0
+        for i in range(len(motion) // 2):
+            value += root.rotor[n, i] / root.rotor[n, 2] * motion[begin + i]
+    return value
+
+
+@inner
 def root_strain(root, motion, force, moment):
     """Return the strain of the outer fibre; modal damping adds to the forces, but not to it."""
     strain, half = root.strain_of_moment * moment + root.strain_of_force * force, len(motion) // 2
@@ -270,7 +281,7 @@ def accelerate(tables, flow, motion, state, load, accelerations):
         here = motion[half + 2]
         for n in range(flow.points_rotation.shape[0]):
             here += flow.points_rotation[n, p] * motion[half + 3 + n]
-        turning = max(turning, magnitude(here))
+        turning = max(turning, magnitude(value_of(here)))
     time = _TURN / (_TURN + turning)
     x, y = 0.0, 0.0
     for k in range(2):
