@@ -70,7 +70,7 @@ EFFECTS = {
     'static modes': {'model.static_modes': 'both', 'end_effector.mass': 0.0,
                      'end_effector.inertia': 0.0},
     'one axis held': {'carrier.held': 'x', 'initial.carrier_x_velocity': 0.0},
-    'payload that changes': {'payload.time': [0.02], 'payload.mass': [1.0],
+    'payload that changes': {'payload.time': [0.005], 'payload.mass': [1.0],
                              'payload.inertia': [0.02]},
     'gravity and equilibrium': {'gravity': [0.0, -9.81], 'carrier.held': 'both',
                                 'initial.carrier_x_velocity': 0.0, 'initial.equilibrium': True,

@@ -117,10 +117,29 @@ def test_a_simulator_goes_on_as_by_step_and_has_the_derivatives_of_what_acts():
     assert first - less == pytest.approx(0.5 * found.by_input[:, 0], rel=1e-3, abs=1e-9)
 
 
-def test_an_end_effector_that_changes_is_refused():
+PAYLOAD = {**MOVING, 'payload.time': [0.01], 'payload.mass': [3.0], 'payload.inertia': [0.6]}
+
+
+def test_derivatives_of_steps_in_which_a_load_is_picked_up_are_differences():
+    """They go on in the same motion with another mass."""
+    scene = timo_sim.load_scene({}, PAYLOAD)
+    start, size = timo_sim.Simulator(scene).motion.values, 1e-6
+
+    def end(shift=0.0, torque=1.0):
+        simulator = timo_sim.Simulator(scene)
+        simulator.set_motion(start + shift)
+        return simulator.step(duration=0.02, torque=torque).values
+    found = timo_sim.Simulator(scene).step_derivatives(['torque'], duration=0.02, torque=1.0)
+    wanted = [end(size * each) - end(-size * each) for each in np.eye(len(start))]
+    assert found.by_motion == pytest.approx(np.transpose(wanted) / (2.0 * size), abs=1e-6)
+    assert found.by_input[:, 0] == pytest.approx(0.5 * (end(torque=2.0) - end(torque=0.0)),
+                                                 abs=1e-7)
+
+
+def test_derivatives_refuse_a_load_that_is_picked_up_at_rest():
     simulator = timo_sim.Simulator(timo_sim.load_scene({}, {
-        'payload.time': [0.01], 'payload.mass': [3.0], 'payload.inertia': [0.6]}))
-    with pytest.raises(timo_sim.ParameterError, match='step 10'):
+        **PAYLOAD, 'end_effector.pick_up': 'at_rest'}))
+    with pytest.raises(timo_sim.ParameterError, match='at step 10'):
         simulator.step_derivatives(duration=0.02)
     assert simulator.steps == 0
 

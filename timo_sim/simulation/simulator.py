@@ -297,8 +297,8 @@ class Simulator(Stateful, PointsOfArm):
         coordinates that are held, locked or driven are 0.
 
         `inputs` are names of commands; those with two numbers give two columns. Raises
-        ParameterError if an input is unknown or the end effector changes in these steps, and the
-        errors of `step`.
+        ParameterError if an input is unknown or a load is picked up at rest in these steps, and
+        the errors of `step`.
 
         Examples
         --------
@@ -312,16 +312,34 @@ class Simulator(Stateful, PointsOfArm):
         unit = unit_loads(self.scene.values, inputs)
         commanded = commanded_load(self.scene.values, **commands)
         count = 1 if duration is None else steps_in(duration, self.scene.step)
-        with self._lock:
-            state, load, first = self._state.copy(), self.load, self.steps - self._origin
-            integration, size = self.integration, self.model.size
-            if first + count > self._next_tip:
-                raise ParameterError('derivatives of steps need an end effector that stays, but '
-                                     f'it changes at step {self._next_tip}')
-            loads = self._table.stages(first, count, commanded)
-            found = step_derivatives(integration, state, load, loads, unit)
-            self.advance(count, commanded)
+        found, size = self.advance_with_derivatives(count, commanded, unit), self.model.size
         return StepDerivatives(found[:, :size], found[:, size:])
+
+    def advance_with_derivatives(self, count: int, commanded: np.ndarray,
+                                 unit: np.ndarray) -> np.ndarray:
+        """
+        Advance by `count` steps; return the derivatives of the motion at the end.
+
+        `unit`, (k, LOADS), is what one of each input adds to all loads; the shape is
+        (2 (3 + N), 2 (3 + N) + k), see `step_derivatives`.
+        """
+        with self._lock:
+            first, size = self.steps - self._origin, self.model.size
+            if self._next_tip < first + count:
+                if self.scene.values['end_effector.pick_up'] == 'at_rest':
+                    raise ParameterError(
+                        'derivatives of steps need end_effector.pick_up = moving, but a load is '
+                        f'picked up at rest at step {self._next_tip}')
+                self._change_tip(first)  # if it is due; the motion stays
+            part = min(count, self._next_tip - first)
+            loads = self._table.stages(first, part, commanded)
+            found = step_derivatives(self.integration, self._state, self._load, loads, unit)
+            self.advance(part, commanded)
+            if part < count:
+                later = self.advance_with_derivatives(count - part, commanded, unit)
+                found = later[:, :size] @ found
+                found[:, size:] += later[:, size:]
+        return found
 
     def set_motion(self, motion: Motion | ArrayLike) -> None:
         """
