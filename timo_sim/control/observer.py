@@ -11,20 +11,22 @@ from typing import Any
 
 import numpy as np
 from numpy.typing import ArrayLike
-from scipy.linalg.lapack import dgeqrf
 
+from timo_sim.compiled.constants import pack
 from timo_sim.model.differences import differences
-from timo_sim.model.formulation import PointsOfArm
+from timo_sim.model.formulation import Formulation, PointsOfArm
+from timo_sim.model.functions import Flow
 from timo_sim.model.layout import INPUTS, Motion
 from timo_sim.runs.linear import difference_steps, state_names
 from timo_sim.scene.parameters import (
     checked, MAPPING, Parameter, ParameterError, short, TEXTS, warn, whole_ratio)
 from timo_sim.scene.scene import load_scene, SceneLike
 from timo_sim.simulation.derivatives import unit_loads
-from timo_sim.simulation.loads import ARGUMENTS, check_arguments
+from timo_sim.simulation.loads import ARGUMENTS, check_arguments, commanded_load
 from timo_sim.simulation.simulator import Simulator, Stateful
-from timo_sim.simulation.snapshot import joints_of_run, variance
+from timo_sim.simulation.snapshot import FIRST_AXES, joints_of_run, variance
 from timo_sim.simulation.warnings import DivergenceError
+from timo_sim.steps.kalman import correct, Filter, predict, SENSED
 from timo_sim.topics.outputs import SENSORS
 
 _SENSORS = {sensor.name: sensor for sensor in SENSORS}
@@ -70,8 +72,6 @@ class Observer(Stateful, PointsOfArm):
     sensors : tuple of str
     states : tuple of str
         Names of the m estimated numbers with units: free coordinates, their rates, disturbances.
-    disturbance : ndarray, shape (k,)
-        The last of these.
     innovation, normalised_innovation : ndarray, shape (y,)
         Of the last update, what was measured less what was expected; the second is whitened by its
         covariance: independent and standard normal if the model is right.
@@ -119,17 +119,27 @@ class Observer(Stateful, PointsOfArm):
             raise ParameterError("disturbance must be such as {'tip_force': (0.1, 0.2)}, got "
                                  f'{short(given)}; where only the arm moves it must be given')
         columns = [np.ravel(ARGUMENTS[name]) for name in pairs]
-        self._inputs, self._unit = [*pairs], unit_loads(scene.values, pairs)
-        self._deviations, self._times = np.repeat([*pairs.values()], [*map(len, columns)], 0).T
+        deviations, self._times = np.repeat([*pairs.values()], [*map(len, columns)], 0).T
         self._places = model.free_places
         # Of differences; loads act linearly.
         self._steps = np.append(difference_steps(model)[self._places], np.ones(len(self._times)))
         self.states = (*state_names(model), *(
             f'disturbance_{INPUTS[column].column}' for column in np.concatenate(columns)))
-        # A factor of the covariance.
-        self._root = np.diag([*_first_deviations(model)[self._places], *self._deviations])
-        self.simulator, self.model = Simulator(scene), model
-        self.disturbance = np.zeros(len(self._times))
+        self._noise = {name: np.sqrt(variance(scene.values, name)) for name in self.sensors}
+        count, inputs = len(self.states), len(deviations)
+        readings = sum(len(_SENSORS[name].columns) for name in self.sensors)
+        room = np.zeros(2 * [count + max(readings, inputs)])
+        self._known = pack(Filter(
+            motion=np.zeros(model.size), gravity=model.gravity, places=self._places,
+            unit=unit_loads(scene.values, pairs), deviation=deviations, fade=np.zeros(inputs),
+            disturbance=np.zeros(inputs),
+            root=np.diag([*_first_deviations(model)[self._places], *deviations]),
+            axis=np.zeros(readings, dtype=int), noise=np.zeros(readings),
+            shown=np.zeros(readings), expected=np.zeros(readings),
+            slope=np.zeros((readings, count)), normalised=np.zeros(readings),
+            joint=room, lower=room))
+        self._go_on, self._corrected, self._faded = predict.of(self._known), (None, None), None
+        self.simulator = Simulator(scene)
         self.innovation = self.normalised_innovation = np.zeros(0)
         self._square, self.warning = 1.0, self.simulator.warning
 
@@ -137,6 +147,20 @@ class Observer(Stateful, PointsOfArm):
     def motion(self) -> Motion:
         """The estimated motion."""
         return self.simulator.motion
+
+    @property
+    def model(self) -> Formulation:
+        """The equations of motion, with the present load at the tip."""
+        return self.simulator.model
+
+    @property
+    def disturbance(self) -> np.ndarray:
+        """The last of `states`, shape (k,)."""
+        return self._known.disturbance.copy()
+
+    @property
+    def _root(self):
+        return self._known.root[:, :len(self.states)]
 
     @property
     def covariance(self) -> np.ndarray:
@@ -152,13 +176,13 @@ class Observer(Stateful, PointsOfArm):
     @covariance.setter
     def covariance(self, values: ArrayLike) -> None:
         try:
-            root = np.linalg.cholesky(np.reshape(values, self._root.shape))
+            root = np.linalg.cholesky(np.reshape(values, 2 * [len(self.states)]))
             if not np.allclose(values, np.transpose(values), 1e-9, 0.0):
                 raise ValueError
         except ValueError:  # of which that of cholesky is one
             raise ParameterError('covariance must be a symmetric and positive definite matrix of '
                                  f'{len(self.states)} rows') from None
-        self._root = root
+        self._root[:] = root
 
     @property
     def consistency(self) -> float:
@@ -176,8 +200,8 @@ class Observer(Stateful, PointsOfArm):
     def expected(self, sensor: str) -> np.ndarray:
         """Return what any sensor of the arm should show now, without noise, shape (axes,)."""
         replace(_NAME, name='expected').check(sensor)
-        return self._readings([sensor], self.motion.values[np.newaxis],
-                              self.disturbance[np.newaxis])[0]
+        return self._values[f'sensor.{sensor}.bias'] + self._readings(
+            [sensor], self.motion.values[np.newaxis], self.disturbance[np.newaxis])[0]
 
     @checked(measured=MAPPING, command=MAPPING)
     def update(self, measured: Mapping[str, Any], command: Mapping[str, Any] | None = None,
@@ -206,20 +230,20 @@ class Observer(Stateful, PointsOfArm):
         shown = {name: self._checked(name, value) for name, value in measured.items()}
         step = self.simulator.scene.step
         dt = step if dt is None else _DT.check(dt)
-        change = None  # of the estimated motion, which is set once: that takes longest
-        if whole_ratio('dt', dt, 'integrator.step', step):
-            change = self._predict(dt, command or {})
-        if shown or change is not None:
-            motion = self.motion.values
-            if change is not None:
-                motion[self._places] += change
-            if shown:
-                motion[self._places] += self._correct(shown, motion)
-            if not np.isfinite(motion).all():
-                raise DivergenceError(
-                    f'the estimate is not finite at t = {self.simulator.t:g} s')
-            self.simulator.set_motion(motion)
-        return self.motion
+        count, known = whole_ratio('dt', dt, 'integrator.step', step), self._known
+        if count:
+            found = self.simulator.advance_with_derivatives(
+                count, commanded_load(self._values, **(command or {})), known.unit)
+        known.motion[:] = self.motion.values
+        if count:
+            self._predict(dt, found)
+        if shown:
+            self._correct(shown)
+        if not np.isfinite(known.motion).all():
+            raise DivergenceError(f'the estimate is not finite at t = {self.simulator.t:g} s')
+        if count or shown:
+            self.simulator.set_motion(known.motion)
+        return Motion(known.motion.copy())
 
     def _checked(self, name, value):
         self._name.check(name)
@@ -229,67 +253,61 @@ class Observer(Stateful, PointsOfArm):
             raise ParameterError(f'{rule.name} must have {count} number(s), got {short(value)}')
         return numbers
 
-    def _predict(self, dt, command):
-        """Go on by a time; return the change of free coordinates by disturbances, (m - k,)."""
-        found = self.simulator.step_derivatives(self._inputs, duration=dt, **command)
-        with np.errstate(divide='ignore'):  # a time of 0 means another value in each update
-            fade = np.exp(-dt / self._times)
-        places, count = self._places, len(fade)
-        by_input = np.vstack([found.by_input[places], np.eye(count)])
-        change = by_input @ (fade * self.disturbance)
-        change[-count:] -= self.disturbance
-        root = by_input @ (fade[:, np.newaxis] * self._root[-count:])
-        root[:-count] += found.by_motion[np.ix_(places, places)] @ self._root[:-count]
-        noise = by_input * self._deviations * np.sqrt(1.0 - fade**2)
-        self._root = _lower(np.hstack([root, noise]))
-        self.disturbance = self.disturbance + change[-count:]
-        return change[:-count]
+    def _predict(self, dt, found):
+        """Go on by the derivatives of steps."""
+        if dt != self._faded:
+            with np.errstate(divide='ignore'):  # a time of 0 means another value in each update
+                self._known.fade[:], self._faded = np.exp(-dt / self._times), dt
+        self._go_on(np.ascontiguousarray(found.T))
 
-    def _correct(self, shown, motion):
-        """Take what was measured in a motion; return the change of free coordinates, (m - k,)."""
-        known, size = len(self._places), len(self.states)
-
-        def moved(shifts):
-            motions = np.tile(motion, (len(shifts), 1))
-            motions[:, self._places] += shifts[:, :known]
-            return self._readings(shown, motions, self.disturbance + shifts[:, known:])
-        expected, slope, _ = differences(moved, self._steps)
-        noise = np.concatenate([np.full(len(values), np.sqrt(variance(self._values, name)))
-                                for name, values in shown.items()])
-        # A factor of the joint covariance of readings and states (T58).
-        root = _lower(np.block([
-            [np.diag(noise), slope @ self._root], [np.zeros((size, len(noise))), self._root]]))
-        self.innovation = np.concatenate([*shown.values()]) - expected
-        own, gain, self._root = (root[:len(noise), :len(noise)], root[len(noise):, :len(noise)],
-                                 root[len(noise):, len(noise):])
-        self.normalised_innovation = np.linalg.solve(own, self.innovation)
-        change = gain @ self.normalised_innovation
-        self.disturbance = self.disturbance + change[known:]
-        for number in self.normalised_innovation:
+    def _correct(self, shown):
+        """Take what was measured."""
+        known, simulator, count = self._known, self.simulator, 0
+        for name, numbers in shown.items():
+            for axis, number in enumerate(numbers, FIRST_AXES[name]):
+                known.axis[count], known.noise[count] = axis, self._noise[name]
+                known.shown[count] = number - self._values[f'sensor.{name}.bias']
+                count += 1
+        self._expect_others(shown, count)
+        model, call = self._corrected
+        if model is not self.model:
+            model, call = self._corrected = self.model, correct.of(
+                self.model.packed, pack(Flow(self.model.linear, self.model.points.rotation)),
+                pack(self.model.root), known)
+        call(simulator.integration.acting(simulator.load), count)
+        self.innovation = known.shown[:count] - known.expected[:count]
+        self.normalised_innovation = known.normalised[:count].copy()
+        for number in self.normalised_innovation.tolist():
             self._square += (min(number**2, _OUTLIER**2) - self._square) / _MEMORY
         if self.consistency > _INCONSISTENT and not self.warning:
             self.warning = (
                 f'measurements differ {self.consistency:.1f} times as much from expected ones as '
                 'the covariance says: the model, the noise of sensors or the disturbance is wrong')
             warn(self.warning)
-        return change[:known]
+
+    def _expect_others(self, shown, count):
+        """Set what sensors should show that compiled code does not know, by differences."""
+        known, free = self._known, len(self._places)
+        others = [name for name in shown if FIRST_AXES[name] >= SENSED]
+
+        def moved(shifts):
+            motions = np.tile(known.motion, (len(shifts), 1))
+            motions[:, self._places] += shifts[:, :free]
+            return self._readings(others, motions, known.disturbance + shifts[:, free:])
+        if others:
+            rows = np.flatnonzero(known.axis[:count] >= SENSED)
+            known.expected[rows], known.slope[rows], _ = differences(moved, self._steps)
 
     def _readings(self, names, motions, disturbances):
-        """Return what sensors should show in motions with disturbances, (n, size), (n, k)."""
+        """Return what sensors should show, less their bias, in motions with disturbances."""
         model, sensors = self.model, [_SENSORS[name] for name in names]
         if all(sensor.of_motion for sensor in sensors):
             shown = [sensor.of_motion(model, motions)[:, np.newaxis] for sensor in sensors]
         else:
             acting = self.simulator.integration.acting(self.simulator.load)
-            joints = joints_of_run(model, motions, acting + disturbances @ self._unit)
+            joints = joints_of_run(model, motions, acting + disturbances @ self._known.unit)
             shown = [sensor.of_joints(joints) for sensor in sensors]
-        return np.hstack([each + self._values[f'sensor.{name}.bias']
-                          for name, each in zip(names, shown)])
-
-
-def _lower(root):
-    # The lower triangular factor, (m, m), of the covariance of which (m, n) is a factor.
-    return np.tril(dgeqrf(root.T)[0][:len(root)].T)
+        return np.hstack(shown)
 
 
 def _first_frequency(model):

@@ -4,10 +4,10 @@
 """
 Code that is made when the package is built, for a first result at once.
 
-An installation that has the intermediate code of all entry points but derivatives of steps needs
-numba for these alone: LLVM makes machine code for a size. The machine code of usual sizes is made
-here, too, for the processor of the build; its files have names that tell the processor, so that no
-other loads them.
+An installation that has the intermediate code of all entry points but derivatives of steps and
+observers needs numba for these alone: LLVM makes machine code for a size. The machine code of
+usual sizes is made here, too, for the processor of the build; its files have names that tell the
+processor, so that no other loads them.
 An editable installation, whose sources will change, has the code of the default scene alone.
 Equations other than `exact` have the code of single runs without dry friction; numba makes the
 rest when somebody needs it.

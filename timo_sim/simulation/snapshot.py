@@ -147,7 +147,7 @@ def reading(scene: Scene, name: str, step: int,
     if not scene.has_sensor_errors:
         return tuple(quantities)
     values = np.array(quantities, dtype=float)
-    scene.add_sensor_errors(_FIRST_AXES[name], step, len(values), values)
+    scene.add_sensor_errors(FIRST_AXES[name], step, len(values), values)
     return tuple(values.tolist())
 
 
@@ -158,7 +158,7 @@ def variance(values: Mapping[str, Any], name: str) -> float:
 
 
 _SENSORS = {sensor.name: sensor for sensor in SENSORS}
-_FIRST_AXES = dict(zip(_SENSORS, accumulate((len(each.columns) for each in SENSORS), initial=0)))
+FIRST_AXES = dict(zip(_SENSORS, accumulate((len(each.columns) for each in SENSORS), initial=0)))
 
 
 class Snapshot:
