@@ -19,7 +19,8 @@ HELD = {'arm.length': 1.0, 'arm.section.width': 0.02, 'arm.section.height': 0.02
         'arm.density': 2700.0, 'arm.young_modulus': 7e10,
         'arm.shear_modulus': 2.6e10, 'arm.damping_ratio': [],
         'carrier.held': 'both', 'motor.shaft_inertia': 0.1, 'motor.mass': 1.0,
-        'end_effector.mass': 0.1, 'end_effector.inertia': 1e-4, 'initial.shaft': 0.0}
+        'end_effector.mass': 0.1, 'end_effector.inertia': 1e-4, 'initial.shaft': 0.0,
+        'model.static_modes': 'none'}
 TIME = np.arange(0.0, 1.0, 0.01)
 
 

@@ -105,21 +105,23 @@ def test_the_shortest_plan_of_a_rigid_arm_is_that_of_an_s_curve():
 
 
 @pytest.mark.parametrize('given, said', [
-    ({'model': model(), 'duration': 0.01}, r'at least 0\.\d+ s to reach the goal .* got 0.01 s'),
-    ({'model': model(**FREE), 'duration': 2.0, 'goal': {
-        'shaft_rad': 1.0, 'carrier_y_m': 0.0}}, 'goal must be reachable within the limits'),
-    ({'model': model(**HANGS), 'limit': 2.0}, 'goal must be reachable within the limits of the'),
-    ({'model': timo_sim.linearize(ARM), 'duration': 1.0}, 'use model.to_discrete'),
-    ({'model': model()}, 'duration must be given if nothing is limited'),
-    ({'model': model(), 'duration': 1.001}, 'must be a whole multiple of dt = 0.01'),
-    ({'model': model(), 'duration': -1.0}, 'duration must be a finite number > 0 s, got -1.0'),
-    ({'model': model(), 'duration': 1.0, 'limit': 0.0}, 'limit and rate_limit must be .* > 0'),
-    ({'model': model(), 'duration': 1.0, 'goal': {'shaft': 1.0}}, 'did you mean shaft_rad'),
-    ({'model': model(), 'duration': 1.0, 'goal': {'shaft_rad': np.nan}}, 'goal must be'),
-    ({'model': model(), 'duration': 1.0, 'goal': 1.0}, 'goal must have values by name .* 1.0')])
+    ({'duration': 0.01}, r'at least 0\.\d+ s to reach the goal .* got 0.01 s'),
+    ({'model': FREE, 'duration': 2.0, 'goal': {'shaft_rad': 1.0, 'carrier_y_m': 0.0}},
+     'goal must be reachable within the limits'),
+    ({'model': HANGS, 'limit': 2.0}, 'goal must be reachable within the limits of the'),
+    ({'model': None, 'duration': 1.0}, 'use model.to_discrete'),
+    ({}, 'duration must be given if nothing is limited'),
+    ({'duration': 1.001}, 'must be a whole multiple of dt = 0.01'),
+    ({'duration': -1.0}, 'duration must be a finite number > 0 s, got -1.0'),
+    ({'duration': 1.0, 'limit': 0.0}, 'limit and rate_limit must be .* > 0'),
+    ({'duration': 1.0, 'goal': {'shaft': 1.0}}, 'did you mean shaft_rad'),
+    ({'duration': 1.0, 'goal': {'shaft_rad': np.nan}}, 'goal must be'),
+    ({'duration': 1.0, 'goal': 1.0}, 'goal must have values by name .* 1.0')])
 def test_what_cannot_be_planned_is_refused(given, said):
+    values = given.get('model', {})
+    plant = timo_sim.linearize(ARM) if values is None else model(**values)
     with pytest.raises(timo_sim.ParameterError, match=said):
-        timo_sim.feedforward(**{'goal': {'shaft_rad': 1.0}, **given})
+        timo_sim.feedforward(**{'goal': {'shaft_rad': 1.0}, **given, 'model': plant})
 
 
 def test_the_nonlinear_arm_comes_to_rest_without_feedback():

@@ -9,7 +9,6 @@ import numpy as np
 import pytest
 
 from benchmark.accuracy.links import rigid_links
-from benchmark.figures.work_precision import draw, FOLDER
 from oracles import peers
 from oracles.references import ROOT, spin_up, world
 import timo_sim
@@ -45,7 +44,8 @@ def test_methods_with_fixed_steps_have_their_order(method, order, truth):
         scene = timo_sim.load_scene(SCENE, {'integrator.step': step})
         steps = round(DURATION / step)
         motions = peers.fixed_step(method, scene.build(), scene.initial_motion(),
-                                   scene.load.stages(0, steps, step), step, steps)
+                                   scene.load.stages(0, steps, step), step, steps,
+                                   compiled=method == 'RK4')
         errors.append(np.abs(motions[-1] - truth).max())
     observed = np.log2(np.array(errors[:-1]) / errors[1:])
     assert observed == pytest.approx(order, abs=0.3)
@@ -82,6 +82,7 @@ def test_exponential_steps_of_links_have_their_order(source, drive):
 
 
 def test_pictures_of_the_benchmark_show_each_method_with_a_label_of_its_own():
+    from benchmark.figures.work_precision import draw, FOLDER  # takes a second
     stored = json.loads((FOLDER / 'work_precision.json').read_text(encoding='utf-8'))
     runs = [each[-1] for each in stored.values() if 'methods' in each[-1]]
     assert len(runs) == 4

@@ -230,9 +230,14 @@ def adaptive(method, model, start, load, jumps, times, tolerance):
     return np.array(motions)
 
 
-def fixed_step(method, model, start, loads, step, every):
-    """Integrate by one of `FIXED_STEP`; return motions, or None if the state diverges."""
-    state = model.state(start)
+def fixed_step(method, model, start, loads, step, every, compiled=True):
+    """
+    Integrate by one of `FIXED_STEP`; return motions, or None if the state diverges.
+
+    Of a method that is not `compiled`, which takes seconds, only the functions that it calls are.
+    """
+    state, integrate = model.state(start), FIXED_STEP[method]
     samples = np.empty((len(loads) // every, model.size))
-    done = FIXED_STEP[method](system_of(model), state, loads, step, every, samples)
+    integrate = integrate if compiled else integrate.py_func
+    done = integrate(system_of(model), state, loads, step, every, samples)
     return samples if done == len(loads) else None
