@@ -327,7 +327,7 @@ def test_missing_dry_friction_is_a_suspect(more, told):
         warnings.simplefilter('ignore', timo_sim.ModelWarning)
         found = timo_sim.fit({**ARM, **MOTOR}, record, [
             'arm.young_modulus', 'motor.viscous_friction', 'motor.shaft_inertia',
-            'end_effector.mass'])
+            'end_effector.mass'], starts=1)
     assert ('set motor.coulomb_friction to about' in found.report()) == told
     assert 'carrier.coulomb_friction' not in found.report()
 
@@ -338,7 +338,7 @@ def test_missing_friction_of_the_carrier_is_a_suspect():
     record = noisy(predicted({**scene, 'carrier.coulomb_friction': 0.2}, {
         'force_x': (T, force)}, ['carrier_x']), {'carrier_x': 1e-3})
     with pytest.warns(timo_sim.ModelWarning, match='set carrier.coulomb_friction to about'):
-        timo_sim.fit(scene, record, ['carrier.mass'])
+        timo_sim.fit(scene, record, ['carrier.mass'], starts=1)
 
 
 def test_a_delay_of_an_input_is_none_of_all_outputs():
@@ -348,7 +348,8 @@ def test_a_delay_of_an_input_is_none_of_all_outputs():
         {'shaft': 1e-3})
     with warnings.catch_warnings():
         warnings.simplefilter('ignore', timo_sim.ModelWarning)
-        found = timo_sim.fit({**ARM, **MOTOR}, record, ['motor.viscous_friction', 'shaft.delay'])
+        found = timo_sim.fit({**ARM, **MOTOR}, record, ['motor.viscous_friction', 'shaft.delay'],
+                             starts=1)
     assert 'a delay of voltage' not in {each.name for each in found.suspects}
 
 
@@ -440,7 +441,7 @@ def test_estimates_far_from_their_guess_are_told():
     unscaled = timo_sim.Record.of({'voltage': (T, 255.0 / 12.0 * VOLTAGE)}, record.outputs)
     assert not any('scale' in text for text in timo_sim.fit(scene, record, free).warnings)
     with pytest.warns(timo_sim.ModelWarning, match='motor.viscous_friction: more.*unit and scale'):
-        timo_sim.fit(scene, unscaled, free)
+        timo_sim.fit(scene, unscaled, free, starts=1)
 
 
 def test_a_search_that_does_not_move_is_told():

@@ -313,8 +313,7 @@ def test_the_boundary_value_solver_gives_the_closed_form():
     assert np.abs(found - closed).max() < 5e-6
 
 
-@pytest.mark.parametrize('modes, rotation, deflection', [
-    (3, 5e-2, 5e-5), (5, 5e-3, 2e-6), (6, 5e-3, 2e-6)])
+@pytest.mark.parametrize('modes, rotation, deflection', [(3, 5e-2, 5e-5), (5, 5e-3, 2e-6)])
 def test_exact_agrees_with_the_elastica(modes, rotation, deflection):
     with warnings.catch_warnings():  # a finer run with too long steps for its stretch is far off
         warnings.simplefilter('error', timo_sim.ModelWarning)

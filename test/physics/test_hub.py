@@ -41,7 +41,7 @@ PUSHED = {'push.position': 0.5, 'load.push_y.harmonic.amplitude': [2.0],
 
 @pytest.mark.filterwarnings('ignore:is this meant')
 @pytest.mark.parametrize('name, values', [
-    ('exact', PUSHED), ('exact', {'carrier.held': 'x', 'gravity': [1.0, -9.0]}),
+    ('exact', {**PUSHED, 'carrier.held': 'x', 'gravity': [1.0, -9.0]}),
     ('exact', {'model.axial_modes': 1, 'carrier.held': 'both'}),
     ('newton', {**PUSHED, 'carrier.held': 'y', 'gravity': [1.0, -9.0]})], ids=str)
 def test_is_a_span_that_is_stiff_and_light(name, values):

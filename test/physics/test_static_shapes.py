@@ -33,9 +33,9 @@ def soft_in_shear(ratio):
             / section.shear_stiffness}
 
 
-@pytest.mark.parametrize('shear', [{}, soft_in_shear(20.0)], ids=['slender', 'soft in shear'])
+@pytest.mark.parametrize('modes, shear', [
+    (3, {}), (3, soft_in_shear(20.0)), (36, {})], ids=['few', 'few, soft in shear', 'many'])
 @pytest.mark.parametrize('static', ['auto', 'none'])
-@pytest.mark.parametrize('modes', [3, 36])
 def test_the_estimate_under_a_tip_torque_is_the_distance_to_the_arc(modes, static, shear):
     values = {**BARE, **shear, 'initial.equilibrium': True, 'model.modes': modes,
               'model.static_modes': static, 'load.tip_torque.piecewise.time': [0.0]}
