@@ -17,6 +17,8 @@ HELD = {'carrier.held': 'both'}
 MOTOR = {'motor.dc.resistance': 2.0, 'motor.dc.torque_constant': 0.5, 'motor.dc.gear_ratio': 3.0,
          'motor.dc.voltage_limit': 20.0}
 SWING = {'load.torque.harmonic.amplitude': [40.0], 'load.torque.harmonic.frequency': [1.3]}
+STATIC = {'model.static_modes': 'torque', 'load.tip_torque.harmonic.amplitude': [9.0],
+          'load.tip_torque.harmonic.frequency': [3.0]}
 SCENES = {
     'free': {**SWING, 'arm.damping_ratio': [0.01], 'motor.viscous_friction': 2.0,
              'carrier.viscous_friction': 5.0},
@@ -26,8 +28,9 @@ SCENES = {
     'friction that builds up': {
         **SWING, 'motor.coulomb_friction': 3.0, 'motor.coulomb_speed': 0.3,
         'carrier.coulomb_friction': 2.0, 'carrier.coulomb_speed': 0.1},
-    'stretches': {**SWING, 'hub.radius': 0.2, 'model.axial_modes': 1,
-                  'initial.shaft_velocity': 6.0},
+    'stretches, static mode': {
+        **SWING, **STATIC, 'hub.radius': 0.2, 'model.axial_modes': 1,
+        'initial.shaft_velocity': 6.0},
     'gear': {**SWING, 'motor.gear.stiffness': 900.0, 'motor.gear.backlash': 0.01,
              'motor.gear.damping': 2.0, 'motor.rotor.inertia': 0.5,
              'motor.rotor.viscous_friction': 0.2, 'motor.rotor.coulomb_friction': 1.0,
@@ -37,13 +40,13 @@ SCENES = {
                         'carrier.force_rate_limit': 3e3},
     'DC motor': MOTOR,
     'limited current': {**MOTOR, 'motor.dc.current_limit': 5.0, 'initial.shaft_velocity': 2.0},
+    'limited current, static mode': {**MOTOR, **STATIC, 'motor.dc.current_limit': 5.0,
+                                     'initial.shaft_velocity': 2.0},
     'a kink inside a step': {'load.torque.table.time': [0.0, 0.1234, 0.3],
                              'load.torque.table.value': [0.0, 60.0, -20.0]},
     'payload': {**SWING, 'payload.time': [0.05, 0.2], 'payload.mass': [3.0, 1.0],
                 'payload.inertia': [0.6, 0.2], 'end_effector.pick_up': 'at_rest'},
     'one axis held': {**SWING, 'carrier.held': 'x', 'initial.shaft_velocity': 8.0},
-    'static mode': {'model.static_modes': 'torque', 'load.tip_torque.harmonic.amplitude': [9.0],
-                    'load.tip_torque.harmonic.frequency': [3.0]},
 }
 
 
@@ -69,9 +72,9 @@ def size_of(motions):
 
 
 @pytest.mark.parametrize('formulation, name', [
-    *(('exact', name) for name in SCENES),
+    *(('exact', name) for name in SCENES if name != 'limited current, static mode'),
     *(('newton', name) for name in SCENES if name not in (
-        'stretches', 'driven, held', 'gear', 'one axis held'))])
+        'stretches, static mode', 'driven, held', 'gear', 'one axis held', 'limited current'))])
 def test_agrees_with_simulator(formulation, name):
     """Eleven manipulators, of two masses of the tip, under three commands in turn."""
     one = scene_of(name, formulation)
@@ -96,7 +99,7 @@ def test_agrees_with_simulator(formulation, name):
 
 def test_an_axial_mode_that_is_slowed_down_moves_as_in_simulator():
     """Its inertia depends on the step and on the frequency of each scene."""
-    scene = scene_of('stretches', 'exact', **{'integrator.step': 0.005})
+    scene = scene_of('stretches, static mode', 'exact', **{'integrator.step': 0.005})
     scenes = [scene, *(scene.vary(each) for each in (
         {'end_effector.mass': 3.0}, {'arm.young_modulus': 2e11}))]
     together = timo_sim.Batch(scenes).advance(100, sample_every=10)
@@ -244,7 +247,7 @@ def test_what_a_batch_hands_out_are_values(n):
 @pytest.mark.parametrize('make', [timo_sim.Simulator, timo_sim.Batch])
 def test_threads_take_turns(make):
     """Four threads do what one does, in whatever order."""
-    together, alone = make({'model.modes': 1}), make({'model.modes': 1})
+    together, alone = make('paper'), make('paper')
     for one in (together, alone):
         one.advance(1)
     torque = np.eye(LOADS)[TORQUE]

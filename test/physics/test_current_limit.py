@@ -122,15 +122,14 @@ def test_second_order_over_its_bends(values):
 
 
 SATURATED = {
-    'bends': HELD, 'newton': {**HELD, 'model.formulation': 'newton'},
-    'free': {'gravity': [0.0, -9.81]}, 'hub': {**HELD, 'hub.radius': 0.2},
-    'one axis held': {'carrier.held': 'x'}, 'stretches': {**HELD, 'model.axial_modes': 1},
+    'builds up': {**HELD, **BUILDS_UP}, 'newton': {**HELD, 'model.formulation': 'newton'},
+    'free, hub': {'gravity': [0.0, -9.81], 'hub.radius': 0.2},
+    'one axis held': {'carrier.held': 'x'},
     'stretches, one axis held': {'carrier.held': 'x', 'model.axial_modes': 1},
-    'builds up': {**HELD, **BUILDS_UP}, 'gear': GEAR,
     'sticks': {**HELD, 'motor.coulomb_friction': 4.0},
-    'newton, sticks': {**HELD, 'motor.coulomb_friction': 4.0, 'model.formulation': 'newton'},
-    'presliding': {**HELD, 'motor.coulomb_friction': 4.0, 'motor.coulomb_presliding': 0.01},
-    'gear, sticks': {**GEAR, 'motor.rotor.coulomb_friction': 4.0 / 50.0},
+    'newton, presliding': {**HELD, 'motor.coulomb_friction': 4.0,
+                           'motor.coulomb_presliding': 0.01, 'model.formulation': 'newton'},
+    'gear': GEAR,
     'gear, presliding': {**GEAR, 'motor.rotor.coulomb_friction': 4.0 / 50.0,
                          'motor.rotor.coulomb_presliding': 0.5}}
 
