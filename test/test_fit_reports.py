@@ -71,7 +71,7 @@ def test_what_a_record_has_and_the_scene_lacks_is_the_first_suspect(name, made):
     assert shares == sorted(shares, reverse=True) and 0.0 <= shares[-1] <= shares[0] <= 1.0
 
 
-@pytest.mark.parametrize('part, stiffness', [(0.2, 8.0), (0.5, 15.0), (0.8, 10.0)])
+@pytest.mark.parametrize('part, stiffness', [(0.2, 8.0), (0.8, 10.0)])
 def test_a_soft_gear_is_told_from_a_delay(part, stiffness):
     """Both let the shaft follow late; `part` of its inertia is before the gear."""
     found = fit(record({

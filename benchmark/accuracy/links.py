@@ -160,12 +160,13 @@ def _exponential(mass, stiffness, held, step):
 
 
 def rigid_links(scene, links, step, duration, every, drive=None, gauss=True, matched=None,
-                exponential=False):
+                exponential=False, compiled=True):
     """
     Simulate a scene by `chain_of` it; arguments and result are those of `rivals.chain`.
 
-    The steps are explicit, of Runge and Kutta, or `exponential`. The carrier must be free along
-    both axes or held, else ValueError.
+    The steps are explicit, of Runge and Kutta, or `exponential`. If they are not `compiled`, which
+    takes seconds, only the equations of motion are. The carrier must be free along both axes or
+    held, else ValueError.
     """
     chain, count = chain_of(scene, links, gauss, matched), round(duration / step)
     loads = np.ascontiguousarray(scene.load.stages(0, count, step)[:, _WHEN][:, :, _CHANNELS])
@@ -189,6 +190,7 @@ def rigid_links(scene, links, step, duration, every, drive=None, gauss=True, mat
     if exponential:
         integrate, own = _integrate_exponentially, _exponential(
             second, chain.stiffness, held, step)
+    integrate = integrate if compiled else integrate.py_func
     integrate(constants, own, place.copy(), loads[:1], held, turned[:1], 1,
               samples[:1])  # compiles
     begun = time.process_time()
