@@ -116,6 +116,9 @@ def calls(folder):
     yield shaper.shape_samples, {'samples': [0.0, 1.0], 'dt': 0.01}, {'dt': '1e300'}
     yield shaper.residual, {'frequency': 1.0, 'damping': 0.0}, {
         'frequency': '0 -1 [] 1e300', 'damping': 'None 0 []'}
+    yield timo_sim.ringdown, {
+        't': TIME, 'values': np.cos(60.0 * TIME) * np.exp(-TIME), 'start': 0.0, 'end': 1.0}, {
+            'start': 'None 0 -1', 'end': 'None 1e300'}
     yield timo_sim.feedforward, {
         'model': discrete, 'goal': {'shaft_rad': 0.1}, 'duration': 1.0, 'limit': 20.0,
         'rate_limit': 1e3}, {

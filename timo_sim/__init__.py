@@ -11,6 +11,7 @@ from timo_sim.version import __version__
 if TYPE_CHECKING:
     from timo_sim.control.feedforward import feedforward, Plan
     from timo_sim.control.observer import observer
+    from timo_sim.control.ringdown import ringdown
     from timo_sim.control.shaping import Shaper, shaper
     from timo_sim.export.c import export_c
     from timo_sim.export.fmu import export_fmu
@@ -60,6 +61,7 @@ _MODULES = {
     'open_log': 'runs.replay',
     'project_on_modes': 'scene.scene',
     'read_record': 'fitting.mapping',
+    'ringdown': 'control.ringdown',
     'sensitivities': 'runs.sensitivities',
     'shaper': 'control.shaping',
     'simulate': 'runs.simulate',
@@ -71,8 +73,8 @@ __all__ = [
     'ParameterError', 'Plan', 'Record', 'Run', 'Scene', 'Sensitivities', 'Shaper', 'Simulator',
     '__version__',
     'choose_resolution', 'export_c', 'export_fmu', 'feedforward', 'fit', 'linearize', 'load_scene',
-    'modes', 'observer', 'open_log', 'project_on_modes', 'read_record', 'sensitivities', 'shaper',
-    'simulate', 'simulate_many']
+    'modes', 'observer', 'open_log', 'project_on_modes', 'read_record', 'ringdown',
+    'sensitivities', 'shaper', 'simulate', 'simulate_many']
 
 
 def __getattr__(name: str) -> Any:

@@ -563,6 +563,56 @@ def fit(records: tuple[str, ...], scene: str | None, free: tuple[str, ...],
         sys.exit(1)
 
 
+@main.command()
+@click.argument('record', type=click.Path())
+@click.option('--column', metavar='NAME', help=(
+    'Column with what was measured; a wrong name lists them all. Of a log, or with --mapping, a '
+    'quantity such as tip_acceleration.'))
+@click.option('--mapping', type=_FILE, metavar='FILE', help=(
+    'As of fit; without it the first column of a table is the time [s].'))
+@click.option('--from', 'start', type=float, metavar='SECONDS', help='Where the ring-down starts.')
+@click.option('--to', 'end', type=float, metavar='SECONDS', help='Where it ends, at the latest.')
+@click.option('--shaper', 'kind', default='ZVD', show_default=True, help='Or ZV or EI.')
+@click.option('--modes', type=click.IntRange(min=1), default=1, show_default=True,
+              help='Vibrations that the shaper ends, the strongest first.')
+@click.option('--move', type=_FILE, metavar='FILE', help=(
+    'Move to shape: a table with the time [s], then joints; or a trajectory_msgs/JointTrajectory '
+    'as *.yaml.'))
+@click.option('--output', '-o', type=_FILE, metavar='FILE', help=(
+    'New file with the shaped move, *.csv, *.parquet or *.yaml; by default MOVE_shaped.'))
+@click.option('--png', type=_FILE, metavar='OUT.png', help='Picture to write: the ring-down.')
+def ringdown(record: str, column: str | None, mapping: str | None, start: float | None,
+             end: float | None, kind: str, modes: int, move: str | None, output: str | None,
+             png: str | None) -> None:
+    r"""
+    Find how an arm vibrates after a stop in RECORD, and shape a move that ends it.
+
+    \b
+        timo_sim ringdown phone.csv --column 'Linear Acceleration x (m/s^2)' --png rings.png
+        timo_sim ringdown phone.csv --column 1 --from 2.4 --shaper EI \
+            --move move.csv -o shaped.yaml
+
+    RECORD is a table of an accelerometer, an encoder or a strain gauge, or a log.
+    """
+    from timo_sim.control.moves import read_move, read_signal, shape_move, write_move
+    from timo_sim.control.ringdown import ringdown
+    from timo_sim.control.shaping import shaper
+    _require(matplotlib=png)
+    given = read_move(move) if move else None
+    found = ringdown(*read_signal(record, column, mapping), start, end)
+    click.echo(found.report())
+    if png:
+        _draw(found.plot(), png)
+    made = shaper(found.poles[:modes], kind)
+    click.echo(f'{kind} for {min(modes, len(found.poles))} of them: ' + ', '.join(
+        f'{100.0 * part:.2f} % after {time:.4f} s'
+        for time, part in zip(made.times, made.amplitudes)))
+    if move and given:
+        output = output or str(Path(move).with_stem(Path(move).stem + '_shaped'))
+        write_move(shape_move(given, made), output)
+        click.echo(f'{output} is written')
+
+
 @main.command(context_settings={'ignore_unknown_options': True})  # a negative number is a value
 @click.argument('topic')
 @click.argument('values', nargs=-1, metavar='VALUE...')

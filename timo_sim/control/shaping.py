@@ -16,6 +16,7 @@ from timo_sim.scene.parameters import (
     checked, CONTACT, FUNCTION, NUMBERS, Parameter, ParameterError)
 from timo_sim.scene.scene import SceneLike
 
+KINDS = 'ZV', 'ZVD', 'EI'
 _ROUND_OFF = 1e-9  # relative, of a pole and of a number of periods
 
 
@@ -94,7 +95,7 @@ def shaper(plant: SceneLike | list[complex] | np.ndarray, kind: str = 'ZVD', mod
     array([0.  , 0.05, 0.  ])
 
     """
-    Parameter('kind', '', '', '', choices=('ZV', 'ZVD', 'EI')).check(kind)
+    Parameter('kind', '', '', '', choices=KINDS).check(kind)
     left = Parameter('tolerance', 0.0, '', '', low=0.0, high=1.0, open_low=True).check(tolerance)
     if isinstance(plant, (list, np.ndarray)):
         poles = np.ravel(np.asarray(plant, dtype=complex))
