@@ -15,6 +15,7 @@ import numpy as np
 
 from timo_sim.fitting.logs import MEASURING, read_log
 from timo_sim.fitting.record import Channel, INPUT_UNITS, OUTPUTS, Record, unit_of, UNITS
+from timo_sim.fitting.response import response_of
 from timo_sim.fitting.table import read_table, SUFFIXES
 from timo_sim.model.layout import with_unit
 from timo_sim.scene.files import read_yaml
@@ -86,6 +87,8 @@ def read_record(path: str | Path,
 
 
 def _record(path, mapping, source):
+    if isinstance(mapping, Mapping) and 'frequency' in mapping:
+        return response_of(mapping, read_table(path), str(path))
     _check_keys('a mapping', mapping, _ENTRIES)
     table = cache(lambda name: read_table(path if name is None else path.parent / name))
     time, columns = _time_of(mapping, 'time'), mapping.get('columns')

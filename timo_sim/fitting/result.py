@@ -21,8 +21,9 @@ from timo_sim.fitting.mapping import is_mapping, read_record
 from timo_sim.fitting.objective import LOSSES, Objective
 from timo_sim.fitting.record import Record, unit_of
 from timo_sim.fitting.problem import (
-    covariance, NORMAL, Problem, r_squared, TimeIsUp, unidentified_combinations, whiteness)
+    covariance, NORMAL, r_squared, TimeIsUp, unidentified_combinations, whiteness)
 from timo_sim.fitting.posterior import Posterior, Samples
+from timo_sim.fitting.response import draw_responses, problem_of, Response
 from timo_sim.fitting.search import NUMERICAL, reason_of, Search
 from timo_sim.fitting.suspects import name_suspects, Suspect, suspects
 from timo_sim.fitting.table import SUFFIXES
@@ -108,7 +109,8 @@ class Prediction:
         if held_out:
             rows[0] += f' {"held out":>9} {"R^2":>7}'
         for name, each in self.errors.items():
-            row = f'{name:<18} {unit_of(name):<6} {each.rms:>9.3g} {each.r_squared:>7.4f}'
+            unit = '' if isinstance(self.record, Response) else unit_of(name)
+            row = f'{name:<18} {unit:<6} {each.rms:>9.3g} {each.r_squared:>7.4f}'
             if held_out:
                 row += f' {each.hold_out_rms:>9.3g} {each.hold_out_r_squared:>7.4f}'
             rows.append(row)
@@ -232,7 +234,9 @@ class Fit(Prediction):
 
     def plot(self) -> Figure:
         """Draw `Prediction.plot` of all records, side by side."""
-        return _draw([self, *self.more])
+        every = [self, *self.more]
+        in_time = [each for each in every if not isinstance(each.record, Response)]
+        return _draw(in_time) if in_time else draw_responses(every)
 
     def report(self) -> str:
         """Return estimates, errors and doubts as a text."""
@@ -413,8 +417,8 @@ def fit(scene: SceneLike | None, record: RecordLike | Sequence[RecordLike], free
             tell(f'{monotonic() - begun:.1f} s: {text}')
 
     objective = Objective([
-        Problem(scene=start, record=each, names=_names_for(each, measured, free),
-                bounds=dict(bounds or {}), until=(1.0 - hold_out) * each.duration)
+        problem_of(scene=start, record=each, names=_names_for(each, measured, free),
+                   bounds=dict(bounds or {}), until=(1.0 - hold_out) * each.duration)
         for each in measured], loss)
     others = [_held_out(start, each, free, measured, objective) for each in held]
     search, end = Search(objective, say), math.inf if time is None else begun + time
@@ -435,7 +439,8 @@ def fit(scene: SceneLike | None, record: RecordLike | Sequence[RecordLike], free
     predictions = _predict_all(search, others, phases)
     search.set_deadline(end)
     likely = []
-    if intervals.posterior and not quick and not intervals.white and any(
+    if intervals.posterior and not quick and not intervals.white and not any(
+            isinstance(each, Response) for each in measured) and any(
             1.0 - each.r_squared > NUMERICAL for prediction in predictions
             for each in prediction.errors.values()):
         likely = phases.attempt(
@@ -461,7 +466,7 @@ def _held_out(start, record, free, measured, objective):
     if 'shaft' in record.outputs and {'initial', 'initial.shaft'} & {*free}:
         start = start.vary({'initial.shaft': float(record.outputs['shaft'].values[0])})
     common = [each.name for each in objective.free if not each.is_own]
-    return Problem(start, record, _names_for(record, measured, common), {}, 0.0)
+    return problem_of(start, record, _names_for(record, measured, common), {}, 0.0)
 
 
 class _Intervals(NamedTuple):

@@ -23,6 +23,7 @@ from scipy.optimize import least_squares
 
 from timo_sim.fitting.problem import loads_of, Problem, SENSOR
 from timo_sim.fitting.record import Channel, DRIVE
+from timo_sim.fitting.response import ResponseProblem
 from timo_sim.model.layout import AFTER, TORQUE
 from timo_sim.scene.bodies import motor_constants
 from timo_sim.scene.parameters import ParameterError
@@ -44,8 +45,10 @@ def from_record(problem: Problem, values: Mapping[str, float]) -> dict[str, floa
 
     Parameters of the arm are tried over two decades, one after the other. If the angle or speed of
     the shaft was measured, all are then fitted to what the arm shows on this shaft, and to the
-    balance of the shaft. Others keep the values given.
+    balance of the shaft. Others keep the values given, as all of a frequency response do.
     """
+    if isinstance(problem, ResponseProblem):
+        return dict(values)
     try:
         arm = _ArmOnShaft(problem)
         for free in problem.free:
