@@ -85,6 +85,7 @@ EFFECTS = {
     'limits and rates': {'motor.torque_limit': 0.4, 'motor.torque_rate_limit': 20.0,
                          'carrier.force_limit': 3.0, 'carrier.force_rate_limit': 500.0},
     'newton': {'model.formulation': 'newton'},
+    'end effector off the tip': {'end_effector.offset': 0.1},
 }
 _NO_MOTOR = 'the motion of a driven shaft is given, whatever the motor does'
 _ONE_HOLD = 'one axis of the carrier is held, or both'

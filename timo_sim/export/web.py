@@ -231,7 +231,7 @@ def _loop(scene):
     except ParameterError as error:
         return {'why': str(error)}
     body = scene.build()
-    arm = body.point_mass, body.points.lever
+    arm = body.point_mass, body.centres.lever
     inertia = (scene.manipulator.shaft_inertia + (body.gear.inertia if body.gear else 0.0)
                + body.point_inertia.sum() + np.dot(arm[0], arm[1]**2))
     if values['carrier.held'] == 'none':

@@ -281,18 +281,18 @@ class Recording:
         return LogError('; '.join([f'{self.title} has no {what}', *self.unread.values()])[:500])
 
     @property
-    def payloads(self) -> tuple[tuple[int, float, float], ...]:
-        """Changes of the load by step, mass [kg] and inertia [kg m2], as in `Scene.payloads`."""
+    def payloads(self) -> tuple[tuple[Any, ...], ...]:
+        """Changes of the load: step, then mass [kg], inertia [kg m2], offset [m]."""
         scene, changes = self.scene, [(step, values) for step, _, values in self.changes]
         starts, found = [0, *self.resets.tolist()], []
-        own = now = (scene.values['end_effector.mass'], scene.values['end_effector.inertia'])
+        names = [f'end_effector.{name}' for name in ('mass', 'inertia', 'offset')]
+        own = now = tuple(scene.values[name] for name in names)
         for start, end in zip(starts, [*starts[1:], float('inf')]):
             # A reset goes back to the mass and inertia that were set last.
             events = [(start, own), *((start + step, tuple(tip)) for step, *tip in scene.payloads)]
             for step, values in changes:
                 if start <= step < end:
-                    before, own = own, tuple(values.get(f'end_effector.{name}', value)
-                                             for name, value in zip(('mass', 'inertia'), own))
+                    before, own = own, tuple(map(values.get, names, own))
                     # As in a simulator, a value that is set again changes nothing.
                     events += [(step, own)] * (own != before)
             for step, tip in sorted(events, key=lambda event: event[0]):

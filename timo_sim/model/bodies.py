@@ -247,6 +247,8 @@ class Manipulator:
     # a speed, each with this speed [m/s], [rad/s] and its asymmetry (T63).
     coulomb: tuple = 3 * ((0.0, 1.0, 0.0),)
     hub_radius: float = 0.0  # from the shaft's axis to the root of the arm, r_h [m]
+    end_effector_offset: float = 0.0  # of its centre of mass, beyond the tip along the arm [m]
+    off_tip: bool = False  # whether this centre, or that of a later load, is not at the tip
     gear: Gear | None = None  # None: the rotor is part of the shaft
     # At most one row, of a DC motor with a limit of its current, seen from the shaft: the largest
     # torque [N m], and the viscous friction by its back-EMF [N m s/rad] (T66).
@@ -276,6 +278,17 @@ class Manipulator:
         return (np.concatenate([weights * section.mass_per_length, [self.end_effector_mass]]),
                 np.concatenate([weights * section.inertia_per_length,
                                 [self.end_effector_inertia]]))
+
+    def of_masses(self, deflection: np.ndarray, rotation: np.ndarray) -> np.ndarray:
+        """
+        Return deflections of the masses of `inertia`, given those of the arm and its rotations.
+
+        Shapes (p + 1, ...); they differ where the end effector's centre of mass is off the tip.
+        """
+        if not self.end_effector_offset:
+            return deflection
+        return np.concatenate([deflection[:-1], (
+            deflection[-1] + self.end_effector_offset * rotation[-1])[np.newaxis]])
 
 
 @dataclass(frozen=True)

@@ -61,7 +61,7 @@ class Exact(Formulation):
         modes = self.modes
         # D integrates slopes at the nodes to the points of mass; d / m_t, and K (T26) or, along an
         # axis on which the carrier is held, the kernel about the root (T30).
-        to_points = self.points.integral.T
+        to_points = self.centres.integral.T
         to_centre = to_points.T @ self.point_mass / self.mass
         about_root = to_points.T @ (self.point_mass[:, np.newaxis] * to_points)
         about_centre = about_root - self.mass * np.outer(to_centre, to_centre)
@@ -116,6 +116,9 @@ class Exact(Formulation):
         # A field of the shaft and the modes at the nodes, (n_g, 1 + N); no mode bends the hub.
         values = field(self.quadrature.nodes)
         values = np.concatenate([np.full((len(values), 1), of_shaft), values], axis=1)
+        if self.manipulator.off_tip:  # what is beyond the tip turns with it
+            tip = np.append(1.0, field(self.points.xi[-1:]))
+            values = np.concatenate([values, of_shaft * tip[np.newaxis]])
         if self.manipulator.hub_radius:
             values = np.concatenate([values, [[of_shaft] + len(self.modes) * [0.0]]])
         return values

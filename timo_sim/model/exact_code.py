@@ -33,12 +33,12 @@ class Tables(NamedTuple):
     Constants of the compiled functions.
 
     Sizes: 1 + N `coordinates`, of which n are `free`, the last A `axial`, and the last R have
-    `rates` in place of momenta in the state (T35); n_g `nodes`, the last of which is that of a hub
-    if there is one (T50). `gears` is 1 if the gear is elastic, else 0; its coordinate precedes
-    the axial ones. `kernels` is 2, or 1 if that for x holds for y, too; `axes` counts those along
-    which the carrier is free, `pushes` is 1 if a force may act on the arm, else 0, and `limits` if
-    the motor's current has a limit; `banded` is the length of the state for an arm that stretches
-    with one axis of the carrier held, else 0.
+    `rates` in place of momenta in the state (T35); n_g `nodes`, of which the last are those of an
+    end effector beyond the tip and of a hub (T50). `gears` is 1 if the gear is elastic, else 0;
+    its coordinate precedes the axial ones. `kernels` is 2, or 1 if that for x holds for y, too;
+    `axes` counts those along which the carrier is free, `pushes` is 1 if a force may act on the
+    arm, else 0, and `limits` if the motor's current has a limit; `banded` is the length of the
+    state for an arm that stretches with one axis of the carrier held, else 0.
     """
 
     mass: float  # m_t

@@ -148,6 +148,7 @@ class Formulation(ABC):
         masses = Quadrature(manipulator.arm.breaks, self.mass_count(len(self.quadrature.nodes)))
         self.points = self.at(masses.points)
         self.point_mass, self.point_inertia = manipulator.inertia(masses)
+        self.centres = self._centres_of(self.points)
         self.arm_mass = self.point_mass.sum()
         self.mass = manipulator.base_mass + self.arm_mass
         self.push_point = self.at([push]) if push else None
@@ -283,7 +284,7 @@ class Formulation(ABC):
     def magnitude_bound(self) -> float:
         """Largest of the numbers from which an energy is computed."""
         body, points = self.manipulator, self.points
-        length = body.hub_radius + body.arm.length
+        length = body.hub_radius + body.arm.length + abs(body.end_effector_offset)
         numbers = ([body.base_mass, body.shaft_inertia, length], points.deflection,
                    points.rotation, self.point_mass, self.point_inertia, self.modes.omega**2,
                    self.gravity, self.modes.shear(points.xi))
@@ -365,8 +366,21 @@ class Formulation(ABC):
         missing[xi == 0.0] = 0.0  # the root stays where it is, to the last bit
         weights = np.sqrt(self.quadrature.weights)
         share = np.linalg.pinv(weights[:, np.newaxis] * slope) * weights
-        return Points(xi, self.manipulator.hub_radius + xi, (integral + missing @ share).T,
-                      deflection.T, self.modes.rotation(xi).T)
+        integral = (integral + missing @ share).T
+        if self.manipulator.off_tip:  # one more node, for what is beyond the tip
+            integral = np.vstack([integral, np.zeros_like(xi)])
+        return Points(xi, self.manipulator.hub_radius + xi, integral, deflection.T,
+                      self.modes.rotation(xi).T)
+
+    def _centres_of(self, points):
+        # Centres of mass of the bodies at points: that at the tip may be beyond it.
+        if not self.manipulator.off_tip:
+            return points
+        integral = points.integral.copy()
+        integral[len(self.quadrature.nodes), -1] = self.manipulator.end_effector_offset
+        lever, deflection = (self.manipulator.of_masses(*each) for each in (
+            (points.lever, np.ones_like(points.xi)), (points.deflection.T, points.rotation.T)))
+        return points._replace(lever=lever, integral=integral, deflection=deflection.T)
 
     def project_on_modes(self, deflection: Callable[[np.ndarray], ArrayLike],
                          rotation: Callable[[np.ndarray], ArrayLike]) -> np.ndarray:
@@ -378,8 +392,11 @@ class Formulation(ABC):
         """
         fine = Quadrature(self.manipulator.arm.breaks, 4 * len(self.modes) + 40)
         mass, inertia = self.manipulator.inertia(fine)
-        return (mass * deflection(fine.points) @ self.modes.deflection(fine.points)
-                + inertia * rotation(fine.points) @ self.modes.rotation(fine.points))
+        xi, moved = fine.points, self.manipulator.of_masses
+        bent, turned = (np.zeros_like(xi) + field(xi) for field in (deflection, rotation))
+        own = self.modes.rotation(xi)
+        return (mass * moved(bent, turned) @ moved(self.modes.deflection(xi), own)
+                + inertia * turned @ own)
 
     @abstractmethod
     def centre_line(self, q: np.ndarray, points: Points) -> np.ndarray:
@@ -516,13 +533,15 @@ class Formulation(ABC):
         half, body = self.size // 2, self.manipulator
         motions = np.tile(motion, (half, 1))
         motions[:, half:] = np.eye(half)
-        velocity, turning = self.velocities(motions, self.points)
+        velocity, turning = self.velocities(motions, self.centres)
         matrix = (np.einsum('kpi,p,lpi->kl', velocity, self.point_mass, velocity)
                   + (turning * self.point_inertia) @ turning.T)
         matrix[range(3), range(3)] += [body.base_mass, body.base_mass, body.shaft_inertia]
         matrix[range(3, half), range(3, half)] += self.slower**2 - 1.0
         if self.gear:
             matrix += self.rotor_matrix
+        if self.centres is not self.points:
+            velocity, turning = self.velocities(motions, self.tip_point)
         return matrix, np.vstack([velocity[:, -1].T, turning[:, -1]])
 
     def momentum(self, motions: np.ndarray) -> np.ndarray:
@@ -531,10 +550,10 @@ class Formulation(ABC):
 
         For n motions: shape (n, 3) [kg m/s], [kg m/s], [kg m2/s].
         """
-        velocity, turning = self.velocities(motions, self.points)
+        velocity, turning = self.velocities(motions, self.centres)
         base = motions[:, self.size // 2:][:, :3]
         body = self.manipulator
-        position = self.world(motions, self.points)
+        position = self.world(motions, self.centres)
         linear = body.base_mass * base[:, :2] + np.einsum('p,npi->ni', self.point_mass, velocity)
         angular = (
             body.base_mass * (motions[:, 0] * base[:, 1] - motions[:, 1] * base[:, 0])

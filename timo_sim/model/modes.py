@@ -116,7 +116,8 @@ class UniformModes(Modes):
             manipulator.arm.length, section.mass_per_length, section.bending_stiffness,
             section.shear_stiffness, *section.ratios,
             end_effector_mass=manipulator.end_effector_mass,
-            end_effector_inertia=manipulator.end_effector_inertia))
+            end_effector_inertia=manipulator.end_effector_inertia,
+            end_effector_offset=manipulator.end_effector_offset))
         self._compute_fields, self._known = fields.of(self._arm), {}
         self.omega, self._shape = np.empty(count), np.empty((count, 4))
         found = lowest_modes(self._arm, self.omega, self._shape, count)
@@ -126,7 +127,8 @@ class UniformModes(Modes):
         fine = Quadrature(manipulator.arm.breaks, 4 * count + 40)
         mass, inertia = manipulator.inertia(fine)
         deflection, rotation, _, _ = self._fields(fine.points)
-        modal_mass = mass @ deflection**2 + inertia @ rotation**2
+        modal_mass = (mass @ manipulator.of_masses(deflection, rotation)**2
+                      + inertia @ rotation**2)
         self._shape /= np.sqrt(modal_mass)[:, np.newaxis]
         self._known = {}
 
@@ -174,6 +176,7 @@ class UniformArm(NamedTuple):
     ratio: float            # bending over shear stiffness and radius2, E / (kappa G)
     end_effector_mass: float
     end_effector_inertia: float
+    end_effector_offset: float
 
 
 @strict
@@ -263,9 +266,12 @@ def _at_tip(arm, omega):
     g, integral, s, nu = _waves(arm, omega, arm.length)
     sums, square = (s[0] + nu, s[1] + nu, s[2] + nu, s[3] + nu), omega * omega
     rotation, curvature = _scaled(integral, sums), _scaled(g, sums)
+    centre = _plus(g, arm.end_effector_offset, rotation)
     force = _plus(_scaled(integral, (-nu, -nu, -nu, -nu)),
-                  -arm.end_effector_mass * square / arm.shear_stiffness, g)
+                  -arm.end_effector_mass * square / arm.shear_stiffness, centre)
     moment = _plus(curvature, -arm.end_effector_inertia * square / arm.bending_stiffness, rotation)
+    moment = _plus(moment, -arm.end_effector_mass * arm.end_effector_offset * square
+                   / arm.bending_stiffness, centre)
     return g, rotation, curvature, force, moment
 
 
@@ -481,7 +487,8 @@ def _strain_modes(manipulator, terms):
     fine = _operators(tuple(arm.breaks.tolist()), terms)[1]
     bend, shear, deflection, rotation = _of_arm(arm, terms)
     mass, inertia = (np.sqrt(values)[:, np.newaxis] for values in manipulator.inertia(fine))
-    matrix = np.concatenate([mass * deflection, inertia * rotation])
+    matrix = np.concatenate([mass * manipulator.of_masses(deflection, rotation),
+                             inertia * rotation])
     return np.linalg.svd(matrix, full_matrices=False), bend, shear
 
 
@@ -513,6 +520,7 @@ class StaticModes(JoinedModes):
         residuals = StrainModes(np.zeros(len(loads)), rule, curvature, shear)
         mass, inertia = manipulator.inertia(rule)
         deflection, rotation = residuals.deflection(rule.points), residuals.rotation(rule.points)
+        deflection = manipulator.of_masses(deflection, rotation)
         kinetic = (deflection.T * mass) @ deflection + (rotation.T * inertia) @ rotation
         strain = (curvature.T @ (weights * bending * curvature)
                   + shear.T @ (weights * shearing * shear))
@@ -560,7 +568,8 @@ def _outboard(manipulator, rule):
     return {'force': (distance, np.ones_like(distance)),
             'torque': (np.ones_like(distance), np.zeros_like(distance)),
             'shear': (np.zeros_like(distance), np.ones_like(distance)),
-            'weight': ((rule.integrate_to(rule.points[-1:]) - inner) @ weight, weight)}
+            'weight': ((rule.integrate_to(rule.points[-1:]) - inner) @ weight
+                       + mass[-1] * manipulator.end_effector_offset, weight)}
 
 
 class _Stretches(Modes):
@@ -597,7 +606,7 @@ def axial_modes(manipulator: Manipulator, count: int, constraints: Constraints) 
     strains, fine = Quadrature(breaks, terms), Quadrature(breaks, terms, extra=3)
     mass, section = manipulator.inertia(fine)[0], manipulator.arm.at(strains.nodes)
     free = 0.5 * len(constraints.free_axes)
-    lever = manipulator.hub_radius + fine.points
+    lever = manipulator.hub_radius + manipulator.of_masses(fine.points, np.ones_like(mass))
     centre = free * (mass @ lever) / (manipulator.base_mass + mass.sum())
     scale = 1.0 / np.sqrt(strains.weights * section.axial_stiffness)
     root_mass = np.sqrt(mass)

@@ -88,23 +88,23 @@ class Newton(Formulation):
     @property
     def first_moment(self) -> float:
         """First moment of the arm's mass about the shaft's axis, s_a [kg m]."""
-        return self.point_mass @ self.points.lever
+        return self.point_mass @ self.centres.lever
 
     @property
     def modal_moments(self) -> np.ndarray:
         """Integrals a_n of mass times deflection, shape (N,)."""
-        return self.points.deflection @ self.point_mass
+        return self.centres.deflection @ self.point_mass
 
     @property
     def deflection_mass(self) -> np.ndarray:
         """Mass matrix of the deflection alone, G_nl, shape (N, N)."""
-        return (self.points.deflection * self.point_mass) @ self.points.deflection.T
+        return (self.centres.deflection * self.point_mass) @ self.centres.deflection.T
 
     @property
     def turning_mass(self) -> np.ndarray:
         """Mass matrix of shaft and modes at a straight arm, shape (1 + N, 1 + N)."""
-        lever, mass, inertia = self.points.lever, self.point_mass, self.point_inertia
-        deflection, rotation = self.points.deflection, self.points.rotation
+        lever, mass, inertia = self.centres.lever, self.point_mass, self.point_inertia
+        deflection, rotation = self.centres.deflection, self.points.rotation
         matrix = np.empty((1 + len(self.modes), 1 + len(self.modes)))
         matrix[1:, 1:] = self.deflection_mass + (rotation * inertia) @ rotation.T
         matrix[0, 0] = self.manipulator.shaft_inertia + mass @ lever**2 + inertia.sum()
@@ -114,7 +114,7 @@ class Newton(Formulation):
     def laws(self) -> Laws:
         """Return the coefficients of the equations of motion."""
         count, matrix = len(self.modes), self.turning_mass
-        about_shaft = self.points.deflection @ (self.point_mass * self.points.lever)
+        about_shaft = self.centres.deflection @ (self.point_mass * self.centres.lever)
         if self.own_modes:
             matrix[1:, 1:] = np.eye(count)
         column = np.append(self.first_moment, self.modal_moments)
@@ -191,10 +191,11 @@ class Newton(Formulation):
         # alpha, and per squared shaft speed.
         xi = self.quadrature.nodes
         slope = self.modes.rotation(xi)[:, 0] + self.modes.shear(xi)[:, 0]
-        inboard = self.points.integral.T @ slope**2
-        mass = self.point_mass
+        slope = np.append(slope, self.points.rotation[0, -1])[:len(self.points.integral)]
+        inboard = self.centres.integral.T @ slope**2
+        mass, pull = self.point_mass, self.points.integral[:, -1] @ slope**2
         push = self.push_point.integral[:, 0] @ slope**2 if self.push_point else 0.0
-        return np.array([inboard[-1], push, -mass @ inboard, (mass * self.points.lever) @ inboard])
+        return np.array([pull, push, -mass @ inboard, (mass * self.centres.lever) @ inboard])
 
     def axial_share(self, state: np.ndarray, load: np.ndarray) -> float:
         """

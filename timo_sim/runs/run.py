@@ -62,8 +62,8 @@ class Run(MotionFields, PointsOfArm):
         [m], see `simulation.finer`; NaN if they were not measured.
     recording : Recording or None
         The log that the run was read from, with all its topics, commands included.
-    payloads : tuple of (int, float, float)
-        Changes of the load at the tip: step, mass [kg] and inertia [kg m2] from then on. The
+    payloads : tuple of (int, float, float, float)
+        Changes of the load at the tip: step, then mass [kg], inertia [kg m2], offset [m]. The
         sample of that step is from before it.
 
     Examples

@@ -38,6 +38,8 @@ def manipulator_of(values: Mapping[str, Any]) -> Manipulator:
         shaft_inertia=values['motor.shaft_inertia'],
         end_effector_mass=values['end_effector.mass'],
         end_effector_inertia=values['end_effector.inertia'],
+        end_effector_offset=values['end_effector.offset'],
+        off_tip=any((values['end_effector.offset'], *values['payload.offset'])),
         carrier_friction=values['carrier.viscous_friction'],
         shaft_friction=values['motor.viscous_friction'] + (0.0 if elastic else back_emf),
         coulomb=tuple(_smooth_friction(values, body) for body in BODIES),

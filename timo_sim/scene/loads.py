@@ -244,12 +244,14 @@ def _drive(values):
     return Drive(*points)
 
 
-def payloads_of(values: Mapping[str, Any]) -> tuple[tuple[int, float, float], ...]:
-    """Return the steps at which loads at the tip change, and its mass and inertia from then on."""
-    times, masses, inertias = same_length({
-        name: values[name] for name in ('payload.time', 'payload.mass', 'payload.inertia')})
+def payloads_of(values: Mapping[str, Any]) -> tuple[tuple[int, float, float, float], ...]:
+    """Return steps at which the load at the tip changes, with mass, inertia, offset from then."""
+    stays = len(values['payload.time']) * (values['end_effector.offset'],)
+    times, *tips = same_length({
+        **{f'payload.{name}': values[f'payload.{name}'] for name in ('time', 'mass', 'inertia')},
+        'payload.offset': values['payload.offset'] or stays})
     if not np.all(np.less(times[:-1], times[1:])):
         raise ParameterError(f'payload.time must ascend, got {short(list(times))}')
     steps = [whole_ratio(f'payload.time[{k}]', time, 'integrator.step', values['integrator.step'])
              for k, time in enumerate(times)]
-    return tuple(zip(steps, masses, inertias))
+    return tuple(zip(steps, *tips))

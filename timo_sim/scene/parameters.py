@@ -363,7 +363,9 @@ _ALL = [
     _not_negative('end_effector.mass', 2.0, 'kg', 'mass at the tip, with what it carries',
                   runtime=True),
     _not_negative('end_effector.inertia', 0.5, 'kg m2', 'moment of inertia at the tip, with what '
-                  'it carries', runtime=True),
+                  'it carries, about its centre of mass', runtime=True),
+    Parameter('end_effector.offset', 0.0, 'm', 'distance of this centre of mass from the tip, '
+              'along the arm; > 0 is beyond the tip', runtime=True),
     Parameter('end_effector.pick_up', 'moving', '', 'how a load moves before it is added to the '
               'end effector: with the tip (moving), or not (at_rest), so that it is picked up in '
               'a plastic impact', choices=('moving', 'at_rest'), runtime=True),
@@ -371,6 +373,8 @@ _ALL = [
     _not_negative('payload.mass', (), 'kg', 'end_effector.mass from each of these times on'),
     _not_negative('payload.inertia', (), 'kg m2', 'end_effector.inertia from each of these times '
                   'on'),
+    Parameter('payload.offset', (), 'm', 'end_effector.offset from each of these times on; empty: '
+              'it stays'),
     Parameter('gravity', (0.0, 0.0), 'm/s2', 'acceleration of free fall along world x and y; 0: '
               'the plane of motion is horizontal', low=-1e6, high=1e6),
     Parameter('initial.carrier_x', 0.0, 'm', 'carrier position at t = 0'),

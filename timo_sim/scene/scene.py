@@ -42,7 +42,9 @@ from timo_sim.topics.outputs import Output, outputs
 # Phase of an axial vibration in a step above which a scene has it slowed down [rad]: bent arms
 # diverged from 0.88 on.
 _LEFT = 0.7
-_TIP: Any = lambda tip: tip[0] >= 0.0 <= tip[1] and len(tip) == 2, 'two numbers >= 0'
+_TIP: Any = (lambda tip: tip[0] >= 0.0 <= tip[1] and 2 <= len(tip) <= 3,
+             'two numbers >= 0, and an offset')
+_TIP_FIELDS = 'end_effector_mass', 'end_effector_inertia', 'end_effector_offset'
 _MODAL = 'initial.modal_coordinates', 'initial.modal_rates'
 _SCENE_NAMES = [name for name, parameter in PARAMETERS.items() if parameter.scope == SCENE]
 
@@ -104,17 +106,17 @@ class Scene:
         return outputs(self.modal_count, self.manipulator.gear is not None)
 
     @checked(tip=_TIP, first=_TIP)
-    def build(self, tip: tuple[float, float] | None = None,
-              first: tuple[float, float] | None = None) -> Formulation:
+    def build(self, tip: tuple[float, ...] | None = None,
+              first: tuple[float, ...] | None = None) -> Formulation:
         """
         Return the scene's Formulation of the equations of motion; it is made once and kept.
 
-        `tip` are mass [kg] and inertia [kg m2] at the tip, `first` those with which the modes are
-        computed; by default those of the end effector.
+        `tip` are mass [kg], inertia [kg m2] and offset [m] at the tip, `first` those with which
+        the modes are computed; by default those of the end effector.
         """
         own = self.manipulator
-        body, basis = (own if each is None else replace(
-            own, end_effector_mass=each[0], end_effector_inertia=each[1]) for each in (tip, first))
+        body, basis = (own if each is None else replace(own, **dict(zip(_TIP_FIELDS, each)))
+                       for each in (tip, first))
         return self._own_model if body == own == basis else self._model(
             self._damping, body, basis)
 
@@ -170,7 +172,7 @@ class Scene:
 
     @cached_property
     def payloads(self) -> tuple:
-        """Changes of the load at the tip: step, mass [kg], inertia [kg m2] from then on."""
+        """Changes of the load at the tip: step, then mass [kg], inertia [kg m2], offset [m]."""
         return payloads_of(self.values)
 
     @cached_property

@@ -80,7 +80,7 @@ def _numbers(body):
         # The shaft turns about z alone: its moments about x and y are made up, as of a ball.
         **inertial('arm', mass, hub + centre, spin + bending + sideways, spin + apart + sideways,
                    spin + apart + bending),
-        **inertial('tip', tip, 0.0, *3 * [body.end_effector_inertia]),
+        **inertial('tip', tip, body.end_effector_offset, *3 * [body.end_effector_inertia]),
         "joint[@name='tip']/origin": {'xyz': [hub + arm.length, 0.0, 0.0]},
         visual('carrier', 'origin'): {'xyz': [0.0, 0.0, -motor - 0.5 * carrier]},
         visual('carrier', 'geometry/box'): {'size': 3 * [carrier]},

@@ -422,9 +422,9 @@ class Batch(Stateful):
             place = group, slice(None), lane
             while (tip.changes < len(scene.payloads) and self._loads.origin[number]
                    + scene.payloads[tip.changes][0] <= now and not self.failed[number]):
-                _, *load = scene.payloads[tip.changes]
-                model = scene.build((load[0], load[1]))
-                tip, motion = tip.replaced((load[0], load[1]), scene, model, lanes.motion[place])
+                load = scene.payloads[tip.changes][1:]
+                model = scene.build(load)
+                tip, motion = tip.replaced(load, scene, model, lanes.motion[place])
                 tip = tip._replace(changes=tip.changes + 1)
                 self._set_model(number, model)
                 lanes.state[place], lanes.motion[place] = model.state(motion), motion
@@ -475,6 +475,7 @@ def lane_size(scene: Scene) -> dict[str, Any]:
         **{f'{name} > 0': values[name] > 0.0 for name in (
             'push.position', 'hub.radius', 'motor.gear.stiffness')},
         'the static shapes': scene.static,
+        'end_effector.offset or payload.offset not 0': scene.manipulator.off_tip,
         'motor.dc.current_limit < .inf': bool(scene.manipulator.motor_limit),
         'the number of nodes': len(scene.build().quadrature.nodes)}
 

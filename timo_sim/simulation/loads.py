@@ -176,15 +176,16 @@ class TipLoad(NamedTuple):
     """
     Mass and inertia at the tip; the modes stay those of the end effector of the first scene.
 
-    `tip` is mass [kg] and inertia [kg m2] now, `lost` the energy lost in plastic impacts since the
-    initial motion [J], `changes` how many changes that the scene prescribes are made.
+    `tip` is mass [kg], inertia [kg m2] and offset [m] now, `lost` the energy lost in plastic
+    impacts since the initial motion [J], `changes` how many changes that the scene prescribes are
+    made.
     """
 
-    tip: tuple[float, float]
+    tip: tuple[float, ...]
     lost: float = 0.0
     changes: int = 0
 
-    def replaced(self, tip: tuple[float, float], scene: Scene, model: Formulation,
+    def replaced(self, tip: tuple[float, ...], scene: Scene, model: Formulation,
                  motion: np.ndarray) -> tuple[TipLoad, np.ndarray]:
         """
         Return the TipLoad with other mass and inertia, and the motion (2 (3 + N),) after that.
@@ -192,31 +193,36 @@ class TipLoad(NamedTuple):
         `scene` and `model` are those with the new load. Sections keep place and velocity, since
         the modes do; a load that is picked up from rest changes velocities, see `model.statics`.
         """
-        added = [max(now - then, 0.0) for now, then in zip(tip, self.tip)]
-        if scene.values['end_effector.pick_up'] != 'at_rest' or not any(added):
+        (mass, inertia, offset), (before, inertia_before, offset_before) = tip, self.tip
+        added, own, place = max(mass - before, 0.0), inertia - inertia_before, 0.0
+        if added:  # where it is, and its inertia about its own centre of mass
+            place = (mass * offset - before * offset_before) / added
+            own += mass * offset**2 - before * offset_before**2 - added * place**2
+        if scene.values['end_effector.pick_up'] != 'at_rest' or not (added or own > 0.0):
             return self._replace(tip=tip), motion
-        motion, lost = pick_up(model, motion, *added)
+        motion, lost = pick_up(model, motion, added, max(own, 0.0), place)
         return self._replace(tip=tip, lost=self.lost + lost), motion
 
 
-def tip_of(scene: Scene) -> tuple[float, float]:
-    """Return mass [kg] and inertia [kg m2] of a scene's end effector."""
-    return scene.manipulator.end_effector_mass, scene.manipulator.end_effector_inertia
+def tip_of(scene: Scene) -> tuple[float, float, float]:
+    """Return mass [kg], inertia [kg m2] and offset [m] of a scene's end effector."""
+    body = scene.manipulator
+    return body.end_effector_mass, body.end_effector_inertia, body.end_effector_offset
 
 
 def pieces(scene: Scene, steps: np.ndarray,
-           payloads: Sequence[tuple[int, float, float]]) -> list[tuple[Formulation, slice]]:
+           payloads: Sequence[tuple[Any, ...]]) -> list[tuple[Formulation, slice]]:
     """
     Return the formulations of a run whose load at the tip changes, each with its samples.
 
     `steps`, shape (n,), are those of the samples, ascending; a sample at the step of a change is
     from before it. If there are several, which a reset divides, the last is from after it.
-    `payloads` are the changes: step, mass [kg] and inertia [kg m2] from then on, ascending.
+    `payloads` are the changes: step, then mass [kg], inertia [kg m2] and offset [m], ascending.
     """
     first, last = (np.searchsorted(steps, [step for step, *_ in payloads], side)
                    for side in ('left', 'right'))
     bounds = [0, *(last - (last - first > 1)), len(steps)]
-    tips = [None, *((mass, inertia) for _, mass, inertia in payloads)]
+    tips = [None, *(tuple(tip) for _, *tip in payloads)]
     return [(scene.build(tip), slice(first, last))
             for tip, first, last in zip(tips, bounds, bounds[1:]) if first < last]
 
