@@ -86,6 +86,8 @@ EFFECTS = {
                          'carrier.force_limit': 3.0, 'carrier.force_rate_limit': 500.0},
     'newton': {'model.formulation': 'newton'},
     'end effector off the tip': {'end_effector.offset': 0.1},
+    'clamp that gives': {'arm.root_stiffness': 400.0},
+    'spring on the shaft': {'motor.spring.stiffness': 30.0, 'motor.spring.rest': 0.2},
 }
 _NO_MOTOR = 'the motion of a driven shaft is given, whatever the motor does'
 _ONE_HOLD = 'one axis of the carrier is held, or both'

@@ -73,7 +73,7 @@ def simulate(scene, period, samples, order=10, elements=2, courant=0.5,
     step, found = period / count, [(q[0].copy(), q[-1].copy())]
     for sample in range(samples):
         if sample in changes:
-            _take(mesh, v, *changes[sample], scene)
+            _take(mesh, v, *changes[sample][:2], scene)
         for first in range(0, count, _CHUNK):
             loads = scene.load.stages(sample * count + first, min(_CHUNK, count - first), step)
             _advance(q, v, loads, step, inverse, derivative, jacobian, stiffness, mesh.weight,

@@ -18,7 +18,7 @@ from timo_sim.compiled.functions import (
     Array, Constants, floor, inner, square_root, strict, WIDTH)
 from timo_sim.model.functions import (
     accelerate, copy, effort, energy, linear_part_is_valid, motor_effort, place_point, root_forces,
-    root_strain, rotor_turn, sincos, state_of)
+    root_strain, rotor_turn, sincos, spring_torque, state_of)
 from timo_sim.model.layout import (
     AFTER, FORCE_I, FORCE_II, FORCE_X, FORCE_Y, LOADS, MOTOR_FRICTION, START, STEP_LOADS)
 from timo_sim.steps.bristles import BRISTLES, COLUMNS, MEMORY
@@ -298,6 +298,8 @@ def set_forces(tables, plant, root, instance):
     for joint in range(3):
         if root.constrained[joint] != 0:
             out[18 + joint] = needed[joint] - out[18 + joint]
+    if root.constrained[2] != 0:
+        out[20] -= spring_torque(tables, motion[2])
     force, moment = root_forces(tables, root, motion, accelerations, needed, instance.acting)
     out[17] = root_strain(root, motion, force, moment)
     out[21] = energy(tables, motion, plant.gravity)

@@ -293,10 +293,10 @@ class Problem:
         self.free = free_parameters(names, bounds, scene, record)
         self._shown: dict[tuple[Any, ...], tuple[float, dict[str, np.ndarray]]] = {}
         still = not (scene.load or scene.load.drive or scene.initial_motion()[3:].any()
-                     or scene.build().gravity.any())
+                     or scene.build().gravity.any() or scene.manipulator.spring)
         if still and not record.inputs and not any(name.startswith(INITIAL) for name in names):
             raise ParameterError('nothing moves the arm: the record has no input, and the scene '
-                                 'no load, no motion at the beginning and no gravity')
+                                 'no load, no motion at the beginning, no gravity and no spring')
 
     def values(self, x: np.ndarray) -> dict[str, float]:
         """Return the values of the free parameters, by name, for coordinates of the fit."""

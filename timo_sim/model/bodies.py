@@ -149,6 +149,8 @@ class Beam:
     length: float  # [m]
     section: Section
     positions: tuple = ()  # distances from the root, from 0 to `length` [m]; empty: uniform
+    # Rotational stiffnesses of its clamp, one or, if that does not give, none [N m/rad].
+    root: tuple = ()
 
     @property
     def uniform(self) -> bool:
@@ -249,6 +251,7 @@ class Manipulator:
     hub_radius: float = 0.0  # from the shaft's axis to the root of the arm, r_h [m]
     end_effector_offset: float = 0.0  # of its centre of mass, beyond the tip along the arm [m]
     off_tip: bool = False  # whether this centre, or that of a later load, is not at the tip
+    spring: tuple = ()  # at most one row, stiffness [N m/rad] and relaxed angle of the shaft [rad]
     gear: Gear | None = None  # None: the rotor is part of the shaft
     # At most one row, of a DC motor with a limit of its current, seen from the shaft: the largest
     # torque [N m], and the viscous friction by its back-EMF [N m s/rad] (T66).

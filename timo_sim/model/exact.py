@@ -86,6 +86,7 @@ class Exact(Formulation):
         locked = self.constraints.locked
         self.sectors = SECTORS if one_axis and self._rate_count and locked is None else 0
         self._kernel, self._slope = kernel, rotation + shear
+        spring = np.reshape(self.manipulator.spring, (-1, 2))
         push = self.push_point.integral.T if self.push_point else np.empty((0, len(rotation)))
         tables = Tables(
             mass=self.mass, kernel=kernel if one_axis else kernel[:1], to_centre=to_centre,
@@ -96,7 +97,8 @@ class Exact(Formulation):
             held_position=self.held_position, to_tip=self.points.integral[:, -1],
             tip_rotation=at_points[-1], weight=self.mass * self.gravity, push=push,
             stretch=self._stretch[len(self._stretch) - self.axial:],
-            stiffness=np.append(0.0, modes.omega**2), linear_rate=np.empty((0, 2, 0)), sector=-1,
+            stiffness=np.append(spring[:, 0].sum(), modes.omega**2), spring=spring,
+            linear_rate=np.empty((0, 2, 0)), sector=-1,
             bands_per_speed=0.0, of_band=np.empty((0, 0)), gear=self.gear_row)
         tables, linear = self._with_linear_part(tables, locked if one_axis else None)
         if self.sectors and self.axial:

@@ -37,8 +37,9 @@ class Tables(NamedTuple):
     end effector beyond the tip and of a hub (T50). `gears` is 1 if the gear is elastic, else 0;
     its coordinate precedes the axial ones. `kernels` is 2, or 1 if that for x holds for y, too;
     `axes` counts those along which the carrier is free, `pushes` is 1 if a force may act on the
-    arm, else 0, and `limits` if the motor's current has a limit; `banded` is the length of the
-    state for an arm that stretches with one axis of the carrier held, else 0.
+    arm, else 0, `springs` if one holds the shaft, and `limits` if the motor's current has a limit;
+    `banded` is the length of the state for an arm that stretches with one axis of the carrier
+    held, else 0.
     """
 
     mass: float  # m_t
@@ -61,7 +62,8 @@ class Tables(NamedTuple):
     weight: Annotated[np.ndarray, 2]                    # m_t g along world x and y
     push: Annotated[np.ndarray, 'pushes', 'padded_nodes']    # from slopes to where a force acts
     stretch: Annotated[np.ndarray, 'axial', 'padded_nodes']  # E_i of the axial coordinates
-    stiffness: Annotated[np.ndarray, 'coordinates']     # omega_i^2
+    stiffness: Annotated[np.ndarray, 'coordinates']     # of a spring on the shaft, then omega_i^2
+    spring: Annotated[np.ndarray, 'springs', 2]         # `Manipulator.spring`
     # Linear part of the last accelerations per q_i and per q_i'.
     linear_rate: Annotated[np.ndarray, 'rates', 2, 'rates']
     # Number of the sector for which the linear part is, plus SECTORS times that of the band of the
@@ -434,6 +436,8 @@ def _rate(tables, state, load, out):
     torque = on_rotor - functions.coulomb(tables, 1, work.speed[0])
     for _ in range(len(tables.gear)):  # 0 or 1 gears: an `if` that LLVM decides, see `compiled`
         torque += load[SHAFT_FRICTION]
+    for n in range(len(tables.spring)):  # the linear part has one that is relaxed at 0
+        torque += tables.spring[n, 0] * tables.spring[n, 1]
     drag = _linear_drag(tables, work.speed, out, coordinates)
     script_a, script_b = as_vectors(local((across,))), as_vectors(local((across,)))
     moment = _set_moments(tables, load, torque + drag, forces, work, script_a, script_b)
@@ -761,6 +765,9 @@ def _energy(tables, motion, gravity):
         for j in range(count):
             twice += (motion[rates + 2 + i] * tables.rotary[i, j] * motion[rates + 2 + j])
         twice += tables.stiffness[i] * motion[2 + i] * motion[2 + i]
+    for n in range(len(tables.spring)):
+        rest = tables.spring[n, 1]
+        twice += tables.spring[n, 0] * rest * (rest - 2.0 * motion[2])
     for n in range(len(tables.gear)):  # the spring of a gear is relaxed within its play
         place = _gear_place(tables)
         twice -= functions.loose_energy(tables, n, tables.stiffness[place], motion[2 + place])

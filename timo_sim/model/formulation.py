@@ -285,7 +285,7 @@ class Formulation(ABC):
         """Largest of the numbers from which an energy is computed."""
         body, points = self.manipulator, self.points
         length = body.hub_radius + body.arm.length + abs(body.end_effector_offset)
-        numbers = ([body.base_mass, body.shaft_inertia, length], points.deflection,
+        numbers = ([body.base_mass, body.shaft_inertia, length], body.spring, points.deflection,
                    points.rotation, self.point_mass, self.point_inertia, self.modes.omega**2,
                    self.gravity, self.modes.shear(points.xi))
         return np.abs(np.concatenate([np.ravel(each) for each in numbers])).max()

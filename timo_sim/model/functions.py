@@ -136,6 +136,15 @@ def motor_effort(tables, load, speed):
     return torque
 
 
+@inner
+def spring_torque(tables, angle):
+    """Return the torque of a spring on the shaft at its angle (T70)."""
+    torque = -0.0
+    for n in range(len(tables.spring)):
+        torque = torque - tables.spring[n][0] * (angle - tables.spring[n][1])
+    return torque
+
+
 @declare
 def tip(tables, motion, out):
     """
@@ -214,6 +223,7 @@ def root_forces(tables, root, motion, accelerations, needed, load):
     else:
         moment = moment + (root.shaft_friction * speed + coulomb(tables, 1, speed)
                            - motor_torque(tables, load, speed))
+        moment = moment - spring_torque(tables, motion[2])
     x = root.base_mass * accelerations[0] - needed[0]
     y = root.base_mass * accelerations[1] - needed[1]
     sine, cosine = sincos(motion[2])

@@ -117,7 +117,8 @@ class UniformModes(Modes):
             section.shear_stiffness, *section.ratios,
             end_effector_mass=manipulator.end_effector_mass,
             end_effector_inertia=manipulator.end_effector_inertia,
-            end_effector_offset=manipulator.end_effector_offset))
+            end_effector_offset=manipulator.end_effector_offset,
+            root=sum(section.bending_stiffness / each for each in manipulator.arm.root)))
         self._compute_fields, self._known = fields.of(self._arm), {}
         self.omega, self._shape = np.empty(count), np.empty((count, 4))
         found = lowest_modes(self._arm, self.omega, self._shape, count)
@@ -177,6 +178,7 @@ class UniformArm(NamedTuple):
     end_effector_mass: float
     end_effector_inertia: float
     end_effector_offset: float
+    root: float             # bending stiffness over that of the clamp [m]; 0: it does not give
 
 
 @strict
@@ -250,10 +252,11 @@ def _scaled(row, factors):
 
 @strict
 def _at_root(arm, omega):
-    """Return deflection, rotation and curvature of the four waves at the root."""
+    """Return deflection, rotation, that against a clamp which gives, and curvature at the root."""
     g, integral, s, nu = _waves(arm, omega, 0.0)
     sums = (s[0] + nu, s[1] + nu, s[2] + nu, s[3] + nu)
-    return g, _scaled(integral, sums), _scaled(g, sums)
+    rotation, curvature = _scaled(integral, sums), _scaled(g, sums)
+    return g, rotation, _plus(rotation, -arm.root, curvature), curvature
 
 
 @strict
@@ -302,8 +305,8 @@ def _modes_below(arm, omega):
     Modes of the arm pinned at both ends are sines, so that their number is known. A constraint
     that is added takes a mode from below if the dynamic stiffness there is negative, one that is
     released, or a body that is added, gives one. Such a stiffness is a ratio of determinants: of
-    the arm pinned, clamped at the root, clamped at both ends, then with the inertia and the mass
-    of the end effector at its tip.
+    the arm pinned, clamped at the root, held by a clamp that gives, clamped at the tip, too, then
+    with the inertia and the mass of the end effector there.
 
     Source: Wittrick and Williams, Q. J. Mech. Appl. Math. 24 (1971) 263-284.
     """
@@ -311,22 +314,24 @@ def _modes_below(arm, omega):
     count = math.floor(square_root(-first) * arm.length / math.pi)
     if second < 0.0:
         count += 1 + math.floor(square_root(-second) * arm.length / math.pi)
-    deflection, rotation, curvature = _at_root(arm, omega)
-    clamped, pinned = _minors(deflection, rotation), _minors(curvature, deflection)
+    deflection, rotation, given, curvature = _at_root(arm, omega)
+    stiff, pinned = _minors(deflection, rotation), _minors(curvature, deflection)
+    clamped = _minors(deflection, given)
     deflection, rotation, curvature, force, moment = _at_tip(arm, omega)
     both_pinned = _determinant(pinned, _minors(deflection, curvature))
+    root_stiff = _determinant(stiff, _minors(deflection, curvature))
     root_clamped = _determinant(clamped, _minors(deflection, curvature))
     both_clamped = _determinant(clamped, _minors(deflection, rotation))
     with_inertia = _determinant(clamped, _minors(deflection, moment))
-    return (count - _differ(both_pinned, root_clamped) - _differ(root_clamped, both_clamped)
-            + _differ(both_clamped, with_inertia)
+    return (count - _differ(both_pinned, root_stiff) + _differ(root_stiff, root_clamped)
+            - _differ(root_clamped, both_clamped) + _differ(both_clamped, with_inertia)
             + _differ(with_inertia, _determinant(clamped, _minors(force, moment))))
 
 
 @strict
 def _set_shape(arm, omega, shape):
     """Write the shares of the waves in a mode, the null vector of its boundary conditions (T7)."""
-    deflection, rotation, curvature = _at_root(arm, omega)
+    deflection, _, rotation, curvature = _at_root(arm, omega)
     force, moment = _at_tip(arm, omega)[3:]
     minors = _minors(deflection, rotation)
     one, other = _cofactors(force, minors), _cofactors(moment, minors)
@@ -399,14 +404,15 @@ class StrainModes(Modes):
     Bending modes given by their curvature and shear strain at the nodes of a quadrature.
 
     Strains are polynomials in each span on which the section is smooth; rotation and deflection
-    are their integrals from the clamped root, so they are continuous where spans meet. The slope
-    is integrated by its values at the nodes of `fine`, by default those of the strains.
+    are their integrals from the root, so they are continuous where spans meet. The slope is
+    integrated by its values at the nodes of `fine`, by default those of the strains. `root`,
+    (0 or 1, N), are rotations of a clamp that gives.
     """
 
     def __init__(self, omega: np.ndarray, strains: Quadrature, curvature: np.ndarray,
-                 shear: np.ndarray, fine: Quadrature | None = None) -> None:
+                 shear: np.ndarray, root: np.ndarray, fine: Quadrature | None = None) -> None:
         self.omega, self._strains, self._fine = omega, strains, fine
-        self._curvature, self._shear = curvature, shear
+        self._curvature, self._shear, self._root = curvature, shear, root
 
     def deflection(self, xi: np.ndarray) -> np.ndarray:
         """Return W_n(xi), see `Modes`."""
@@ -416,7 +422,8 @@ class StrainModes(Modes):
 
     def rotation(self, xi: np.ndarray) -> np.ndarray:
         """Return Phi_n(xi), see `Modes`."""
-        return self._strains.integrate_to(xi) @ self._curvature
+        found = self._strains.integrate_to(xi) @ self._curvature
+        return found + self._root if len(self._root) else found
 
     def curvature(self, xi: np.ndarray) -> np.ndarray:
         """Return Phi_n'(xi), see `Modes`."""
@@ -444,14 +451,16 @@ class GalerkinModes(StrainModes):
         # a margin for a heavy tip or a strong taper.
         terms = 2 * count + 30
         strains, fine = _operators(tuple(manipulator.arm.breaks.tolist()), terms)[:2]
-        (_, singular, rows), bend, shear = _strain_modes(manipulator, terms)
+        (_, singular, rows), bend, shear, root = _strain_modes(manipulator, terms)
         omega = 1.0 / singular[:count]
         scaled = rows[:count].T * omega
-        super().__init__(omega, strains, scaled[:len(bend)] * bend[:, np.newaxis],
-                         scaled[len(bend):] * shear[:, np.newaxis], fine)
+        curvature, strain, turn = np.split(scaled, [len(bend), 2 * len(bend)])
+        super().__init__(omega, strains, curvature * bend[:, np.newaxis],
+                         strain * shear[:, np.newaxis], turn * root[:, np.newaxis], fine)
         sign = np.sign(self.curvature(np.zeros(1))[0])
         self._curvature *= sign
         self._shear *= sign
+        self._root *= sign
 
 
 @functools.lru_cache(maxsize=8)
@@ -467,29 +476,31 @@ def _operators(breaks, terms):
 
 @functools.lru_cache(maxsize=8)
 def _of_arm(arm, terms):
-    # Factors from scaled to nodal strains of bending and shear, and the matrices from scaled
-    # strains to deflections and rotations of the points of mass; cached, since manipulators often
-    # differ in the end effector alone.
+    # Factors from scaled to nodal strains of bending and shear and to the turn of a clamp, and
+    # matrices from scaled strains to deflections and rotations of the points of mass; cached,
+    # since manipulators often differ in the end effector alone.
     nodes, _, integrate, interpolate, integrate_fine = _operators(
         tuple(arm.breaks.tolist()), terms)
     section = arm.at(nodes.nodes)
     bend = 1.0 / np.sqrt(nodes.weights * section.bending_stiffness)
     shear = 1.0 / np.sqrt(nodes.weights * section.shear_stiffness)
-    slope = np.hstack([integrate[:-1] * bend, interpolate * shear])
-    return bend, shear, integrate_fine @ slope, np.hstack(
-        [integrate * bend, np.zeros_like(integrate)])
+    root = 1.0 / np.sqrt(np.array(arm.root, dtype=float))
+    turn = np.ones((len(integrate), len(root))) * root
+    slope = np.hstack([integrate[:-1] * bend, interpolate * shear, turn[:-1]])
+    return bend, shear, root, integrate_fine @ slope, np.hstack(
+        [integrate * bend, np.zeros_like(integrate), turn])
 
 
 def _strain_modes(manipulator, terms):
     # Returns the singular value decomposition of G, see `GalerkinModes`, and the factors from
-    # scaled to nodal strains of bending and shear.
+    # scaled to nodal strains of bending and shear, and to the turn of a clamp that gives.
     arm = manipulator.arm
     fine = _operators(tuple(arm.breaks.tolist()), terms)[1]
-    bend, shear, deflection, rotation = _of_arm(arm, terms)
+    bend, shear, root, deflection, rotation = _of_arm(arm, terms)
     mass, inertia = (np.sqrt(values)[:, np.newaxis] for values in manipulator.inertia(fine))
     matrix = np.concatenate([mass * manipulator.of_masses(deflection, rotation),
                              inertia * rotation])
-    return np.linalg.svd(matrix, full_matrices=False), bend, shear
+    return np.linalg.svd(matrix, full_matrices=False), bend, shear, root
 
 
 class StaticModes(JoinedModes):
@@ -512,24 +523,33 @@ class StaticModes(JoinedModes):
         curvature, shear = moment / bending, force / shearing
         weights = rule.weights[:, np.newaxis]
         bent, sheared = modes.curvature(rule.nodes), modes.shear(rule.nodes)
+        stiffness, root = weights * bending, np.zeros(1)
+        for clamp in arm.root:  # whose turn is one more value of the curvature
+            stiffness = np.append(stiffness, [[clamp]], axis=0)
+            curvature = np.append(curvature, rule.interpolate_to(root) @ moment / clamp, axis=0)
+            bent = np.append(bent, modes.rotation(root), axis=0)
         for _ in range(2):  # twice, since cancellation is strong beside many modes
-            share = (bent.T @ (weights * bending * curvature)
+            share = (bent.T @ (stiffness * curvature)
                      + sheared.T @ (weights * shearing * shear)) / modes.omega[:, np.newaxis]**2
             curvature, shear = curvature - bent @ share, shear - sheared @ share
         # The residuals of two loads are also uncoupled from each other, and normalised.
-        residuals = StrainModes(np.zeros(len(loads)), rule, curvature, shear)
+        nodes = len(rule.nodes)
+        residuals = StrainModes(np.zeros(len(loads)), rule, curvature[:nodes], shear,
+                                curvature[nodes:])
         mass, inertia = manipulator.inertia(rule)
         deflection, rotation = residuals.deflection(rule.points), residuals.rotation(rule.points)
         deflection = manipulator.of_masses(deflection, rotation)
         kinetic = (deflection.T * mass) @ deflection + (rotation.T * inertia) @ rotation
-        strain = (curvature.T @ (weights * bending * curvature)
+        strain = (curvature.T @ (stiffness * curvature)
                   + shear.T @ (weights * shearing * shear))
         inverse = np.linalg.inv(np.linalg.cholesky(strain))
         squares, vectors = np.linalg.eigh(inverse @ kinetic @ inverse.T)
         omega = 1.0 / np.sqrt(squares[::-1])
         vectors = (inverse.T @ vectors / np.sqrt(squares))[:, ::-1]
-        vectors *= np.sign((rule.interpolate_to(np.zeros(1)) @ curvature @ vectors)[0])
-        super().__init__(modes, StrainModes(omega, rule, curvature @ vectors, shear @ vectors))
+        vectors *= np.sign((rule.interpolate_to(root) @ curvature[:nodes] @ vectors)[0])
+        curvature = curvature @ vectors
+        super().__init__(modes, StrainModes(omega, rule, curvature[:nodes], shear @ vectors,
+                                            curvature[nodes:]))
 
 
 def compliance(manipulator: Manipulator, modes: Modes, pushed: float,
@@ -554,6 +574,8 @@ def compliance(manipulator: Manipulator, modes: Modes, pushed: float,
     whole = sum(force * rule.weights / stiffness @ force.T for force, stiffness in (
         (moment, section.bending_stiffness), (shear, section.shear_stiffness),
         (axial, section.axial_stiffness)))
+    at_root = np.array([length, 0.0, 1.0, pushed, 0.0])  # moments there
+    whole += sum(np.outer(at_root, at_root) / each for each in manipulator.arm.root)
     ends = np.array([length, pushed])
     (across, other), (along, beside) = modes.deflection(ends), modes.displacement(ends)
     return whole, np.stack([across, along, modes.rotation(ends)[0], other, beside])

@@ -160,6 +160,12 @@ class Newton(Formulation):
             linear[half + axes:, half + axes:] += np.outer(
                 slowing - linear_beta * response * shear, turns)
             drag = np.array([[slowing[0], shear]])
+        spring = np.zeros((len(self.manipulator.spring), 4))
+        spring[:, :2] = np.reshape(self.manipulator.spring, (-1, 2))
+        if len(spring) and not self.driven:
+            turned = -spring[0, 0] * inverse[:, 0]
+            spring[0, 2:] = turned[0], -laws.shear_row @ turned
+            linear[half + axes:, axes] += turned - linear_beta * response * spring[0, 3]
         tables = Tables(
             base_mass=base_mass, arm_mass=self.arm_mass, first_moment=self.first_moment,
             inverse=inverse, coupling=laws.matrix[:, 0], response=response,
@@ -177,7 +183,7 @@ class Newton(Formulation):
             push_place=self.push_point.lever[0] if self.push_point else 0.0,
             push_deflection=self.push_point.deflection.T if self.push_point else (
                 np.empty((0, len(stiffness)))),
-            gear=gear, rotor_drag=drag, inertia=turning_mass[0, 0],
+            gear=gear, rotor_drag=drag, spring=spring, inertia=turning_mass[0, 0],
             shear_mass=laws.shear_mass, shaft_row=laws.matrix[0], shaft_column=laws.column[0],
             shaft_stress=laws.stress[0], shear_stress=laws.shear_stress,
             moments=self.modal_moments,
@@ -235,7 +241,8 @@ class Tables(NamedTuple):
 
     Sizes: N `modes`, 1 + N `coordinates`, of which n are `free`; `axes` along which the carrier is
     free; `pushes` is 1 if a force may act on the arm, else 0, `limits` if the motor's current has
-    a limit, and `gears` if the gear is elastic, whose coordinate is the last one.
+    a limit, `springs` if one holds the shaft, and `gears` if the gear is elastic, whose coordinate
+    is the last one.
     """
 
     base_mass: float     # m_c + m_m
@@ -268,6 +275,8 @@ class Tables(NamedTuple):
     gear: Annotated[np.ndarray, 'gears', 3]                # `Formulation.gear_row`
     # theta'' and V(0) per speed of the rotor, by its viscous friction
     rotor_drag: Annotated[np.ndarray, 'gears', 2]
+    # `Manipulator.spring`, then theta'' and V(0) per angle
+    spring: Annotated[np.ndarray, 'springs', 4]
     # For forces of constraints and energy alone:
     inertia: float       # about the shaft's axis, with the shaft's and the rotor's
     shear_mass: float    # m_V
@@ -347,6 +356,8 @@ def _set_z_0(tables, q, qdot, theta_rate, load, tip_2, push_2, moment, force, z)
             force[i] = on_rotor - _resistance(tables, 1, theta_rate) + moment
             for _ in range(len(tables.gear)):
                 force[i] += load[SHAFT_FRICTION]
+            for n in range(len(tables.spring)):
+                force[i] += tables.spring[n, 0] * tables.spring[n, 1]
         for n in range(count):
             force[i] += theta_rate * theta_rate * softening[i, n] * q[n]
         if driven:
@@ -458,6 +469,9 @@ def _rate(tables, state, load, out):
         rotor = _rotor_speed(tables, n, omega, qdot)
         theta_acceleration += tables.rotor_drag[n, 0] * rotor
         linear_shear += tables.rotor_drag[n, 1] * rotor
+    for n in range(len(tables.spring)):
+        theta_acceleration += tables.spring[n, 2] * theta
+        linear_shear += tables.spring[n, 3] * theta
     bent = _dot(tables.axial, q)
     axial = (bent * theta_acceleration + 2.0 * omega * _dot(tables.axial, qdot)
              + omega * omega * tables.first_moment + tip_1 + push_1)
@@ -580,6 +594,9 @@ def _energy(tables, motion, gravity):
         for k in range(count):
             twice += (omega * omega * q * tables.deflection_mass[n, k] * motion[3 + k]
                       + qdot * tables.modal_mass[n, k] * motion[rates + 3 + k])
+    for n in range(len(tables.spring)):
+        turn = motion[2] - tables.spring[n, 1]
+        twice += tables.spring[n, 0] * turn * turn
     for n in range(len(tables.gear)):  # the spring of a gear is relaxed within its play
         twice -= functions.loose_energy(tables, n, tables.stiffness[count - 1],
                                         motion[2 + count])

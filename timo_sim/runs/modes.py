@@ -166,7 +166,7 @@ def _about(scene, start, load, contact):
     half = model.size // 2
     motion, known = np.zeros(model.size), min(len(start) // 2, half)
     motion[:3] = start[:3]
-    if model.gravity.any() or np.delete(load, ANGLE).any():
+    if model.gravity.any() or model.manipulator.spring or np.delete(load, ANGLE).any():
         motion[:known] = start[:known]
         try:
             motion = equilibrium(model, motion, load)

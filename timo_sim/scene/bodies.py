@@ -40,6 +40,8 @@ def manipulator_of(values: Mapping[str, Any]) -> Manipulator:
         end_effector_inertia=values['end_effector.inertia'],
         end_effector_offset=values['end_effector.offset'],
         off_tip=any((values['end_effector.offset'], *values['payload.offset'])),
+        spring=tuple((stiffness, values['motor.spring.rest']) for stiffness in [
+            values['motor.spring.stiffness']] if stiffness),
         carrier_friction=values['carrier.viscous_friction'],
         shaft_friction=values['motor.viscous_friction'] + (0.0 if elastic else back_emf),
         coulomb=tuple(_smooth_friction(values, body) for body in BODIES),
@@ -142,10 +144,11 @@ def _arm(values):
     section = {field: values[name] for field, name, _ in _SECTION}
     profiles = profiles_of(values)
     length, positions = values['arm.length'], values['arm.profile.position']
+    root = tuple(each for each in [values['arm.root_stiffness']] if each < math.inf)
     _leave_out(values, section, profiles)
     if not positions and not profiles:
         _check_section(values)
-        return Beam(length, Section(**section))
+        return Beam(length, Section(**section), root=root)
     if len(positions) < 2 or positions[0] != 0.0 or positions[-1] != length or not np.all(
             np.less_equal(positions[:-1], positions[1:])):
         raise ParameterError('arm.profile.position must ascend from 0 to arm.length = '
@@ -154,7 +157,7 @@ def _arm(values):
         profile: values[profile] for _, _, profile in _SECTION if values.get(profile)}})
     _check_section(values)
     positions, varying, _ = thinned(positions, tuple(profiles.values()))
-    return Beam(length, Section(**{**section, **dict(zip(profiles, varying))}), positions)
+    return Beam(length, Section(**{**section, **dict(zip(profiles, varying))}), positions, root)
 
 
 # What bending stiffness and mass per length may be measured without; numbers that stand for its

@@ -32,6 +32,10 @@ def check_gear(values: Mapping[str, Any]) -> None:
         if values[rest] != 1.0 and not (values[speed] and values[reach]):
             raise ParameterError(f'{rest} = {values[rest]:g} needs {speed} and {reach} > 0, got '
                                  f'{values[speed]:g} and {values[reach]:g}')
+    spring, shaft = values['motor.spring.stiffness'], values['motor.shaft']
+    if spring and shaft == 'free' and values['arm.damping_of'] != 'clamped':
+        raise ParameterError('arm.damping_of must be clamped with a free shaft on a spring, which '
+                             f'vibrates, too, got {values["arm.damping_of"]}')
     if not elastic:
         return
     for name, good, rule in (

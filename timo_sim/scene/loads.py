@@ -246,10 +246,13 @@ def _drive(values):
 
 def payloads_of(values: Mapping[str, Any]) -> tuple[tuple[int, float, float, float], ...]:
     """Return steps at which the load at the tip changes, with mass, inertia, offset from then."""
-    stays = len(values['payload.time']) * (values['end_effector.offset'],)
-    times, *tips = same_length({
-        **{f'payload.{name}': values[f'payload.{name}'] for name in ('time', 'mass', 'inertia')},
-        'payload.offset': values['payload.offset'] or stays})
+    given = {name: values[f'payload.{name}'] for name in ('time', 'mass', 'inertia', 'offset')}
+    if not given['offset']:
+        if given['time'] and values['end_effector.offset']:
+            raise ParameterError('payload.offset must be given with end_effector.offset = '
+                                 f'{values["end_effector.offset"]:g}, got []')
+        given['offset'] = (0.0,) * len(given['time'])
+    times, *tips = same_length({f'payload.{name}': each for name, each in given.items()})
     if not np.all(np.less(times[:-1], times[1:])):
         raise ParameterError(f'payload.time must ascend, got {short(list(times))}')
     steps = [whole_ratio(f'payload.time[{k}]', time, 'integrator.step', values['integrator.step'])

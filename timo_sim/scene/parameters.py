@@ -294,6 +294,8 @@ _ALL = [
     _profile('density', 'kg/m3'),
     _profile('young_modulus', 'Pa'),
     _profile('shear_modulus', 'Pa'),
+    _positive('arm.root_stiffness', math.inf, 'N m/rad', 'rotational stiffness of the clamp at '
+              'the root; .inf: it does not give', finite=False),
     Parameter('arm.damping_ratio', (), '', 'modal damping ratios: one for all modes, or one for '
               'each; empty: undamped', low=0.0, high=1.0, runtime=True, alone=True),
     Parameter('arm.damping_of', 'clamped', '', 'vibrations that have these damping ratios: those '
@@ -323,6 +325,10 @@ _ALL = [
                   'without presliding'),
     _asymmetry('motor', 'shaft'),
     *_presliding('motor', 'shaft', 'rad', '1e-3 rad'),
+    _not_negative('motor.spring.stiffness', 0.0, 'N m/rad', 'stiffness of a spring between '
+                  'carrier and shaft, or of a cable; 0: there is none'),
+    Parameter('motor.spring.rest', 0.0, 'rad', 'shaft angle at which it is relaxed',
+              low=-_MAX_ANGLE, high=_MAX_ANGLE),
     _not_negative('motor.gear.stiffness', 0.0, 'N m/rad', 'torsional stiffness of the gear, at '
                   'the shaft; the torque then acts on the rotor; 0: the gear is rigid'),
     _not_negative('motor.gear.damping', 0.0, 'N m s/rad', 'damping beside this stiffness'),
@@ -374,7 +380,7 @@ _ALL = [
     _not_negative('payload.inertia', (), 'kg m2', 'end_effector.inertia from each of these times '
                   'on'),
     Parameter('payload.offset', (), 'm', 'end_effector.offset from each of these times on; empty: '
-              'it stays'),
+              'all 0'),
     Parameter('gravity', (0.0, 0.0), 'm/s2', 'acceleration of free fall along world x and y; 0: '
               'the plane of motion is horizontal', low=-1e6, high=1e6),
     Parameter('initial.carrier_x', 0.0, 'm', 'carrier position at t = 0'),

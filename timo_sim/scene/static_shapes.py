@@ -62,6 +62,7 @@ def _soft_in_shear(arm: Beam) -> bool:
     rule = Quadrature(arm.breaks, 40)
     section = arm.at(rule.nodes)
     bent = rule.weights @ ((arm.length - rule.nodes)**2 / section.bending_stiffness)
+    bent += sum(arm.length**2 / each for each in arm.root)
     sheared = np.sum(rule.weights / section.shear_stiffness)
     return bool(sheared > _SOFT_IN_SHEAR * (bent + sheared))
 

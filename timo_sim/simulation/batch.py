@@ -473,7 +473,7 @@ def lane_size(scene: Scene) -> dict[str, Any]:
         'model.formulation', 'model.axial_modes', 'model.modes', 'integrator.step',
         'carrier.held', 'motor.shaft')},
         **{f'{name} > 0': values[name] > 0.0 for name in (
-            'push.position', 'hub.radius', 'motor.gear.stiffness')},
+            'push.position', 'hub.radius', 'motor.gear.stiffness', 'motor.spring.stiffness')},
         'the static shapes': scene.static,
         'end_effector.offset or payload.offset not 0': scene.manipulator.off_tip,
         'motor.dc.current_limit < .inf': bool(scene.manipulator.motor_limit),

@@ -192,9 +192,10 @@ class Simulator(Stateful, PointsOfArm):
             motion = self.scene.initial_motion(self.model)
             self._state = self.model.state(motion)
             self.integration.reset(motion)
-            # Without speeds, deflection, loads, drive and gravity nothing changes until a command.
+            # Without speeds, deflection, loads, drive, gravity and spring nothing changes until a
+            # command.
             self._resting = not (self.scene.load or self.scene.load.drive or motion[3:].any()
-                                 or self.model.gravity.any())
+                                 or self.model.gravity.any() or self.model.manipulator.spring)
             self._origin = self.steps
             self._table = LoadTable(self.scene, Actuators(self.scene.values))
             self._load = self.scene.load_at_start()

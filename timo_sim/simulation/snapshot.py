@@ -14,7 +14,7 @@ from typing import Any
 import numpy as np
 
 from timo_sim.model.formulation import Formulation
-from timo_sim.model.functions import root_forces, root_strain
+from timo_sim.model.functions import root_forces, root_strain, spring_torque
 from timo_sim.model.layout import (
     FORCE_I, FORCE_II, FORCE_X, FORCE_Y, Motion, MOTOR_FRICTION, place, rotate, TORQUE)
 from timo_sim.scene.scene import Scene
@@ -44,6 +44,7 @@ class Joints:
         self.model, self.motions, self._loads, self._tip = model, motions, loads, tip
         self._accelerations = accelerations
         self._applied = applied(model, motions, loads)
+        self._applied[:, 2] += spring_torque(model.manipulator, motions[:, 2])
 
     @cached_property
     def _needed(self):
@@ -54,7 +55,8 @@ class Joints:
         """
         Force on the carrier, world axes [N], and torque on the shaft [N m] by constraints, (n, 3).
 
-        Loads are not part of it. For a joint that is free it is the friction of the equations.
+        Loads and a spring are not part of it. For a joint that is free it is the friction of the
+        equations.
         """
         return self._needed - self._applied
 
