@@ -87,9 +87,15 @@ EFFECTS = {
     'newton': {'model.formulation': 'newton'},
     'end effector off the tip': {'end_effector.offset': 0.1},
     'clamp that gives': {'arm.root_stiffness': 400.0},
-    'spring on the shaft': {'motor.spring.stiffness': 30.0, 'motor.spring.rest': 0.2},
+    'spring on the shaft': {'motor.spring.stiffness': 30.0, 'motor.spring.rest': 0.3},
+    'driven carrier': {
+        'initial.carrier_x_velocity': 0.0, 'carrier.drive.harmonic.frequency': [3.0],
+        'carrier.drive.harmonic.x': [0.01], 'carrier.drive.time': _TIMES,
+        'carrier.drive.x': [0.0, 0.02], 'carrier.drive.x_speed': [0.1, 0.3],
+        'carrier.drive.x_acceleration': [0.0, 0.0]},
 }
 _NO_MOTOR = 'the motion of a driven shaft is given, whatever the motor does'
+_GIVEN = 'an axis along which the carrier is driven is not held'
 _ONE_HOLD = 'one axis of the carrier is held, or both'
 WITHOUT_MEANING = {
     **{pair: _NO_MOTOR for pair in (
@@ -102,6 +108,8 @@ WITHOUT_MEANING = {
     ('gravity and equilibrium', 'one axis held'): _ONE_HOLD,
     ('axial modes', 'newton'): '`newton` has no axial modes: its arm keeps its length',
     ('driven shaft', 'gravity and equilibrium'): 'an equilibrium is at rest, a drive moves',
+    ('driven carrier', 'gravity and equilibrium'): _GIVEN,
+    ('driven carrier', 'one axis held'): _GIVEN,
 }
 WITHOUT_MEANING = {frozenset(pair): text for pair, text in WITHOUT_MEANING.items()}
 

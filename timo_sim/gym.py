@@ -18,7 +18,8 @@ import numpy as np
 from timo_sim.extras import optional
 from timo_sim.model.layout import FORCE_X, FORCE_Y, LOADS, rotate, TORQUE
 from timo_sim.scene.parameters import (
-    checked, LATEST, MAPPING, numbers, NUMBERS, Parameter, ParameterError, WHOLE, whole_ratio)
+    checked, fixed_axes, LATEST, MAPPING, numbers, NUMBERS, Parameter, ParameterError, WHOLE,
+    whole_ratio)
 from timo_sim.scene.scene import load_scene, SceneLike
 from timo_sim.simulation.batch import Batch, MOST_ARMS
 from timo_sim.simulation.simulator import Stateful
@@ -124,8 +125,9 @@ class ReachVectorEnv(Stateful, VectorEnv):
         if np.isinf(self._torque).any():
             raise ParameterError('motor.torque_limit must be finite, for it is the torque at an '
                                  'action of 1; got .inf')
-        if self._force and scene.values['carrier.held'] == 'both':
-            raise ParameterError(f'force must be 0 with carrier.held: both, got {force:g} N')
+        if self._force and fixed_axes(scene.values) == 'both':
+            raise ParameterError('force must be 0 with a carrier that is held or driven along x '
+                                 f'and y, got {force:g} N')
         self._mode = autoreset_mode if isinstance(autoreset_mode, AutoresetMode) else (
             AutoresetMode(_MODE.check(autoreset_mode)))
         self.metadata = {'autoreset_mode': self._mode, 'render_modes': []}
@@ -136,7 +138,7 @@ class ReachVectorEnv(Stateful, VectorEnv):
         self._length = np.array([each.manipulator.arm.length for each in scenes])
         self._bend_rate = np.array([model.tip_point.deflection[:, 0] for model in models]
                                    ) / self._length[:, np.newaxis]
-        self._moves = scene.values['carrier.held'] != 'both'
+        self._moves = fixed_axes(scene.values) != 'both'
         self.single_action_space = Box(-1.0, 1.0, (3 if self._force else 1,), np.float32)
         self.single_observation_space = Box(-np.inf, np.inf, (6 if self._moves else 4,),
                                             np.float32)

@@ -17,7 +17,7 @@ from timo_sim.export.constants import interface_of
 from timo_sim.log.read import LogFile
 from timo_sim.log.new_log import NewLog
 from timo_sim.scene.files import check_target, whole_file
-from timo_sim.scene.parameters import frame_names
+from timo_sim.scene.parameters import fixed_axes, frame_names
 from timo_sim.scene.scene import Scene
 from timo_sim.topics.cdr import form, Number
 from timo_sim.topics.commands import JOINTS
@@ -83,7 +83,7 @@ def write_hardware(scene: Scene, values: Mapping[str, Any],
 
 def _commands(scene):
     """Return the inputs of a scene by joint and command interface."""
-    held, dc = scene.values['carrier.held'], scene.values['motor.dc.resistance'] > 0.0
+    held, dc = fixed_axes(scene.values), scene.values['motor.dc.resistance'] > 0.0
     free = {'x': 'force_x', 'y': 'force_y'}
     found = {f'carrier_{axis}': {'effort': name} for axis, name in free.items()
              if held not in (axis, 'both')}

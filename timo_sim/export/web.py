@@ -32,7 +32,8 @@ from timo_sim.export.library import library
 from timo_sim.runs.linear import linearize
 from timo_sim.runs.modes import modes
 from timo_sim.scene.files import check_target, whole_file
-from timo_sim.scene.parameters import checked, FLAG, FUNCTION, ParameterError, PATH
+from timo_sim.scene.parameters import (
+    checked, fixed_axes, FLAG, FUNCTION, ParameterError, PATH)
 from timo_sim.scene.scene import load_scene, Scene, scene_from, SceneLike
 from timo_sim.simulation.finer import EstimatingSimulator
 from timo_sim.simulation.simulator import Simulator
@@ -130,7 +131,7 @@ def _scene(name: str, scene: Scene, estimate: bool) -> dict[str, Any]:
         'parameters': [[each.title, each.unit, each.meaning] for each in interface.parameters],
         'sliders': sliders, 'loops': loops, 'ranges': _ranges(scene), 'hub': values['hub.radius'],
         'body': body._asdict(), 'gravity': list(values['gravity']),
-        'free': [values['carrier.held'] not in (axis, 'both') for axis in 'xy'],
+        'free': [fixed_axes(values) not in (axis, 'both') for axis in 'xy'],
         'warning': [along, meant, MOST_APART * scene.manipulator.arm.length],
         'about': repr(scene).partition(': ')[2][:-1]}
 
@@ -234,7 +235,7 @@ def _loop(scene):
     arm = body.point_mass, body.centres.lever
     inertia = (scene.manipulator.shaft_inertia + (body.gear.inertia if body.gear else 0.0)
                + body.point_inertia.sum() + np.dot(arm[0], arm[1]**2))
-    if values['carrier.held'] == 'none':
+    if fixed_axes(values) == 'none':
         inertia -= np.dot(*arm)**2 / body.mass
     for share in _BANDWIDTHS:
         omega = 2.0 * math.pi * share * clamped[0]
@@ -273,7 +274,7 @@ def _ranges(scene):
                 values['motor.dc.torque_constant'] * values['motor.dc.gear_ratio']),
                 values['motor.dc.voltage_limit'])
     for axis in 'xy':
-        if values['carrier.held'] not in (axis, 'both'):
+        if fixed_axes(values) not in (axis, 'both'):
             found[f'force_{axis}'] = min(2.0 * force, values['carrier.force_limit'])
     found['tip_force_across_arm'] = force
     # Two digits are enough for a slider.

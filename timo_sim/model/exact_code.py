@@ -24,8 +24,8 @@ from timo_sim.compiled.functions import (
 from timo_sim.model import functions
 from timo_sim.model.functions import DRAG, PER_COORDINATE, sincos
 from timo_sim.model.layout import (
-    ACCELERATION, ANGLE, FORCE_I, FORCE_II, FORCE_X, FORCE_Y, PUSH_X, PUSH_Y, SHAFT_FRICTION,
-    SPEED, TIP_I, TIP_II, TIP_TORQUE, TIP_X, TIP_Y)
+    ACCELERATION, ACCELERATION_X, ACCELERATION_Y, ANGLE, FORCE_I, FORCE_II, FORCE_X, FORCE_Y,
+    PUSH_X, PUSH_Y, SHAFT_FRICTION, SPEED, TIP_I, TIP_II, TIP_TORQUE, TIP_X, TIP_Y)
 
 
 class Tables(NamedTuple):
@@ -326,10 +326,13 @@ def _translate(tables, state, load, work, out):
 
     Return x, y of two forces: F of (T28), along free axes the sum of the forces on carrier and tip
     (T32), and that on the tip. Where the carrier is held, the weights act on the arm as a force
-    -m_t g on the carrier would (T46).
+    -m_t (g - a) on the carrier would (T46), with the acceleration a of what holds it (T71).
     """
     axes, half, weight = tables.axes, half_length(tables), tables.weight
     push_x, push_y = 0.0 - weight[0], 0.0 - weight[1]
+    if len(axes) < 2:  # what holds the carrier may accelerate
+        push_x += tables.mass * load[ACCELERATION_X]
+        push_y += tables.mass * load[ACCELERATION_Y]
     shaft_y, shaft_x = sincos(work.coordinate[0])
     tip_x = load[TIP_X] + shaft_x * load[TIP_I] - shaft_y * load[TIP_II]
     tip_y = load[TIP_Y] + shaft_y * load[TIP_I] + shaft_x * load[TIP_II]
@@ -507,6 +510,8 @@ def _observe(tables, state, load, out):
     for axis in range(2):
         out[axis] = tables.held_position[axis]
         out[half + axis] = 0.0
+    if len(tables.axes) < 2:
+        functions.add_base(load, half, out)
     for k in range(len(tables.axes)):
         axis = tables.axes[k]
         slope, derivative = (work.a, work.c1) if axis == 0 else (work.b, work.c2)

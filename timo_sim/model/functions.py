@@ -17,7 +17,9 @@ from timo_sim.compiled.constants import local_arrays
 from timo_sim.compiled.entry import entry_point
 from timo_sim.compiled.functions import (
     Array, chain, Constants, declare, floor, inner, magnitude, some, strict, value_of, where)
-from timo_sim.model.layout import ACCELERATION, ANGLE, LOADS, MOTOR_FRICTION, SPEED, TORQUE
+from timo_sim.model.layout import (
+    ACCELERATION, ACCELERATION_X, ACCELERATION_Y, ANGLE, LOADS, MOTOR_FRICTION, PLACE_X, PLACE_Y,
+    SPEED, SPEED_X, SPEED_Y, TORQUE)
 
 
 @declare
@@ -49,6 +51,15 @@ def joint_place(tables, state, load, joint):
 def copy(vector, out):
     for i in range(min(len(vector), len(out))):
         out[i] = vector[i]
+
+
+@inner
+def add_base(load, half, out):
+    """Add place and speed of a driven carrier to those of a motion."""
+    out[0] += load[PLACE_X]
+    out[1] += load[PLACE_Y]
+    out[half] += load[SPEED_X]
+    out[half + 1] += load[SPEED_Y]
 
 
 # Laws of joints. Python calls them, too, with a `Manipulator` for tables, and arrays.
@@ -301,6 +312,10 @@ def accelerate(tables, flow, motion, state, load, accelerations):
         copy(load, drift)
         drift[ANGLE] += sign * load[SPEED]
         drift[SPEED] += sign * load[ACCELERATION]
+        drift[PLACE_X] += sign * load[SPEED_X]
+        drift[PLACE_Y] += sign * load[SPEED_Y]
+        drift[SPEED_X] += sign * load[ACCELERATION_X]
+        drift[SPEED_Y] += sign * load[ACCELERATION_Y]
         observe(tables, moved, drift, room.motion)
         tip_x, tip_y = _tip_velocity(tables, room)
         if k:

@@ -36,8 +36,8 @@ class Input(NamedTuple):
 
     @property
     def prescribed(self) -> bool:
-        """Whether a scene may prescribe it over time: forces and torques, world axes."""
-        return bool(self.argument) and self.unit in ('N', 'N m')
+        """Whether a scene may prescribe it over time: forces, torques, accelerations."""
+        return bool(self.argument) and self.unit in ('N', 'N m', 'm/s2')
 
     @property
     def column(self) -> str:
@@ -59,6 +59,17 @@ def without_unit(column: str) -> tuple[str, str]:
 
 
 _FORCE = {'limit': 'carrier.force_limit', 'rate_limit': 'carrier.force_rate_limit'}
+
+
+def _driven(axis):
+    # Of a carrier that does not move freely along an axis.
+    along = f'of a driven carrier along world {axis}'
+    return (Input(f'carrier_place_{axis}', 'm', f'place {along}'),
+            Input(f'carrier_speed_{axis}', 'm/s', f'speed {along}'),
+            Input(f'carrier_acceleration_{axis}', 'm/s2', 'acceleration of what holds the carrier '
+                  f'along world {axis}, such as a base that shakes', 'base'))
+
+
 # The columns of a load, in this order. Arm axes turn with the shaft. The angle, speed and
 # acceleration are those of a driven shaft. The equations see only the torque of a voltage.
 INPUTS = (
@@ -86,11 +97,13 @@ INPUTS = (
           needs='push.position'),
     Input('shaft_friction', 'N m', 'friction on the shaft of an elastic gear, by its bristle'),
     Input('motor_friction', 'N m', 'what of the torque is dry friction of shaft or rotor'),
+    *_driven('x'), *_driven('y'),
 )
 LOADS = len(INPUTS)
 (FORCE_X, FORCE_Y, FORCE_I, FORCE_II, TORQUE, TIP_X, TIP_Y, TIP_I, TIP_II, TIP_TORQUE,
  ANGLE, SPEED, ACCELERATION, VOLTAGE, PUSH_X, PUSH_Y, SHAFT_FRICTION,
- MOTOR_FRICTION, *_) = range(LOADS)
+ MOTOR_FRICTION, PLACE_X, SPEED_X, ACCELERATION_X, PLACE_Y, SPEED_Y, ACCELERATION_Y,
+ *_) = range(LOADS)
 # Rows of the loads of a step: three that its stages see, then the true load at its end.
 START, MIDDLE, END, AFTER = range(4)
 STAGES, STEP_LOADS = 3, 4

@@ -48,8 +48,8 @@ from timo_sim.model import functions
 from timo_sim.model.formulation import Formulation, Points
 from timo_sim.model.functions import DRAG, PER_COORDINATE, sincos
 from timo_sim.model.layout import (
-    ACCELERATION, ANGLE, FORCE_I, FORCE_II, FORCE_X, FORCE_Y, PUSH_X, PUSH_Y, rotate,
-    SHAFT_FRICTION, SPEED, TIP_I, TIP_II, TIP_TORQUE, TIP_X, TIP_Y)
+    ACCELERATION, ACCELERATION_X, ACCELERATION_Y, ANGLE, FORCE_I, FORCE_II, FORCE_X, FORCE_Y,
+    PUSH_X, PUSH_Y, rotate, SHAFT_FRICTION, SPEED, TIP_I, TIP_II, TIP_TORQUE, TIP_X, TIP_Y)
 
 
 class Laws(NamedTuple):
@@ -213,7 +213,7 @@ class Newton(Formulation):
         half, axes = len(state) // 2, list(self.axes)
         angle, speed = (load[ANGLE], load[SPEED]) if self.driven else (
             state[len(axes)], state[half + len(axes)])
-        acceleration = np.zeros(2)
+        acceleration = load[[ACCELERATION_X, ACCELERATION_Y]]
         acceleration[axes] = self.rate(state, load)[half:half + len(axes)]
         alpha, _ = rotate(-angle, *(acceleration - self.gravity))
         pull, _ = rotate(-angle, load[TIP_X], load[TIP_Y])
@@ -411,15 +411,19 @@ def _set_carrier(tables, state, load, cosine, sine, axial, shear, tilt, out):
 
 
 @inner
-def _add_gravity(tables, cosine, sine, tilt, out):
+def _add_gravity(tables, load, cosine, sine, tilt, out):
     """
-    Add what gravity does, see doc/theory.md, section 10.
+    Add what gravity does, see doc/theory.md, section 10, and a base that accelerates.
 
-    In a freely falling frame gravity vanishes and a held carrier accelerates by -g: alpha, beta.
+    In a freely falling frame gravity vanishes and a held carrier accelerates by a - g, with
+    components alpha and beta.
     """
     axes, half, gravity = tables.axes, _half(tables), tables.gravity
-    held_x = 0.0 if len(axes) == 2 or len(axes) == 1 and axes[0] == 0 else -gravity[0]
-    held_y = 0.0 if len(axes) == 2 or len(axes) == 1 and axes[0] == 1 else -gravity[1]
+    held_x, held_y = 0.0, 0.0
+    if len(axes) == 0 or len(axes) == 1 and axes[0] == 1:
+        held_x = load[ACCELERATION_X] - gravity[0]
+    if len(axes) == 0 or len(axes) == 1 and axes[0] == 0:
+        held_y = load[ACCELERATION_Y] - gravity[1]
     alpha, beta = cosine * held_x + sine * held_y, cosine * held_y - sine * held_x
     if len(axes) == 1:
         along, across, inertia = _free_axis(tables, cosine, sine, tilt)
@@ -485,8 +489,8 @@ def _rate(tables, state, load, out):
     beta -= tables.linear_beta * linear_shear
     for i in range(driven, rows):
         out[half + modal - 1 + i] = z[i] - tables.response[i] * beta
-    if some((tables.gravity[0] != 0.0) | (tables.gravity[1] != 0.0)):
-        _add_gravity(tables, cosine, sine, tilt, out)
+    if len(tables.axes) < 2 or some((tables.gravity[0] != 0.0) | (tables.gravity[1] != 0.0)):
+        _add_gravity(tables, load, cosine, sine, tilt, out)
 
 
 @functions.linear_part_is_valid.of(Tables)
@@ -502,6 +506,10 @@ def _observe(tables, state, load, out):
         source, goal = parts[k]
         for axis in range(2):
             out[goal + axis] = 0.0 if k else tables.held_position[axis]
+    if len(tables.axes) < 2:
+        functions.add_base(load, len(out) // 2, out)
+    for k in range(2):
+        source, goal = parts[k]
         for j in range(len(tables.axes)):
             out[goal + tables.axes[j]] = state[source + j]
         out[goal + 2] = load[SPEED] if k else load[ANGLE]

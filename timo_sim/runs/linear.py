@@ -216,8 +216,9 @@ def linearize(scene: SceneLike, at: np.ndarray | None = None, contact: str = '')
     """
     scene = load_scene(scene)
     start = scene.initial_motion()
-    at = start if at is None else numbers('at', at, start.shape)
+    at = start if at is None else numbers('at', at, start.shape).copy()
     half = len(at) // 2
+    at[half:half + 2][scene.build().constrained[:2]] = 0.0  # in axes of a driven carrier
     load = scene.load_at_start() if scene.values['initial.equilibrium'] else np.zeros(LOADS)
     load[ANGLE] = at[2]
     # Small changes about an equilibrium do not reach the limit of the motor's current. A step of 0

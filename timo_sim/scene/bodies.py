@@ -11,7 +11,8 @@ from typing import Any
 import numpy as np
 
 from timo_sim.model.bodies import Beam, Constraints, Gear, Manipulator, Section, thinned
-from timo_sim.scene.parameters import ParameterError, PARAMETERS, same_length, short
+from timo_sim.scene.parameters import (
+    driven_along, fixed_axes, ParameterError, PARAMETERS, same_length, short)
 
 BODIES = 'carrier', 'motor', 'motor.rotor'  # those with friction
 # Presliding where none is given, seen from the shaft [m, rad].
@@ -66,7 +67,7 @@ def _smooth_friction(values, body):
 
 def dry_friction_of(values: Mapping[str, Any]) -> np.ndarray:
     """Return `Scene.bristles` of the values, shape (4, 5)."""
-    elastic, held = values['motor.gear.stiffness'] > 0.0, values['carrier.held']
+    elastic, held = values['motor.gear.stiffness'] > 0.0, fixed_axes(values)
     found = np.tile([0.0, 0.0, 0.0, 0.0, 1.0], (4, 1))
     for k, (body, moves) in enumerate((
             ('carrier', held not in ('x', 'both')), ('carrier', held not in ('y', 'both')),
@@ -109,12 +110,14 @@ def motor_constants(values: Mapping[str, Any]) -> tuple[float, float]:
 
 def constraints_of(values: Mapping[str, Any]) -> Constraints:
     """Return the Constraints that the values describe; ParameterError if nothing can move."""
-    held, shaft = values['carrier.held'], values['motor.shaft']
+    held, shaft = fixed_axes(values), values['motor.shaft']
     if held == 'both' and shaft != 'free' and modal_count(values) == 0:
-        raise ParameterError(f'nothing can move: carrier.held = both, motor.shaft = {shaft}, '
-                             'model.modes = 0')
-    return Constraints(tuple(values[f'initial.carrier_{axis}'] if held in (axis, 'both') else None
-                             for axis in 'xy'), shaft != 'free',
+        raise ParameterError(f'nothing can move: carrier.held = {values["carrier.held"]}, '
+                             f'motor.shaft = {shaft}, model.modes = 0')
+    places = [0.0 if driven_along(values, axis) else values[f'initial.carrier_{axis}']
+              for axis in 'xy']
+    return Constraints(tuple(place if held in (axis, 'both') else None
+                             for axis, place in zip('xy', places)), shaft != 'free',
                        values['initial.shaft'] if shaft == 'locked' else None)
 
 

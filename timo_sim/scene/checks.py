@@ -13,7 +13,7 @@ from timo_sim.model.layout import INPUTS
 from timo_sim.scene.bodies import BODIES, modal_count
 from timo_sim.scene.loads import TERM_NAMES
 from timo_sim.scene.parameters import (
-    ParameterError, PARAMETERS, short, StepError, VELOCITIES)
+    driven_along, fixed_axes, ParameterError, PARAMETERS, short, StepError, VELOCITIES)
 from timo_sim.steps.bristles import fastest, mobilities, MORE, REACH, SLOW, springs_of
 
 _MAX_NUMBER = 1e50  # products of six numbers, as in an energy, do not overflow
@@ -51,10 +51,11 @@ def check_together(values: Mapping[str, Any]) -> None:
     """Raise ParameterError if values of different parameters do not fit together."""
     held, shaft, formulation = (
         values[name] for name in ('carrier.held', 'motor.shaft', 'model.formulation'))
+    fixed = fixed_axes(values)
     for name, rule, other, forbidden in (
             ('initial.shaft_velocity', '0', 'motor.shaft', shaft == 'locked'),
-            ('initial.carrier_x_velocity', '0', 'carrier.held', held in ('x', 'both')),
-            ('initial.carrier_y_velocity', '0', 'carrier.held', held in ('y', 'both')),
+            *((f'initial.carrier_{axis}_velocity', '0', 'carrier.held', fixed in (axis, 'both'))
+              for axis in 'xy'),
             ('initial.equilibrium', 'false', 'motor.shaft', shaft == 'driven'),
             *((name, 'empty or 0', 'initial.equilibrium', values['initial.equilibrium'])
               for name in (*VELOCITIES, 'initial.modal_coordinates', 'initial.modal_rates')),
@@ -62,7 +63,16 @@ def check_together(values: Mapping[str, Any]) -> None:
         if forbidden and values[name]:
             raise ParameterError(f'{name} must be {rule} with {other} = {values[other]}, got '
                                  f'{short(values[name])}')
-    if held != 'both' and not values['carrier.mass']:
+    for axis in 'xy':
+        given = [name for name in TERM_NAMES[f'carrier_acceleration_{axis}'] if values[name]]
+        if driven_along(values, axis) and (held in (axis, 'both') or given):
+            what = given[0] if given else f'carrier.held = {held}'
+            raise ParameterError(f'{what} must not be given along {axis}, since carrier.drive '
+                                 'moves the carrier along it')
+        if given and fixed not in (axis, 'both'):
+            raise ParameterError(f'{given[0]} needs a carrier that is held along {axis}, got '
+                                 f'carrier.held = {held}')
+    if fixed != 'both' and not values['carrier.mass']:
         raise ParameterError(f'carrier.mass must be > 0 kg with carrier.held = {held}, got 0')
     if len(values['gravity']) != 2:
         raise ParameterError(f'gravity must have 2 elements, got {len(values["gravity"])}')

@@ -21,8 +21,10 @@ from timo_sim.model.layout import ACCELERATION, ANGLE, INPUTS, LOADS, STEP_LOADS
 from timo_sim.scene.parameters import ParameterError, same_length, short, whole_ratio
 from timo_sim.steps.loads import add_scene_loads, NEAR, PIECE, SceneLoads
 
-# Columns of the inputs that a scene may prescribe over time, by name.
-CHANNELS = {each.name: column for column, each in enumerate(INPUTS) if each.prescribed}
+# Columns of what a scene may prescribe over time, by name: inputs, and places and speeds of a
+# driven carrier.
+CHANNELS = {each.name: column for column, each in enumerate(INPUTS)
+            if each.prescribed or each.name.startswith('carrier_')}
 
 
 @dataclass(frozen=True)
@@ -87,13 +89,19 @@ class Drive:
     """
     The angle of a driven shaft: quintic polynomials between points, then constant speed.
 
-    Neighbouring polynomials have the same angle, speed and acceleration at their common point.
+    Neighbouring polynomials have the same angle, speed and acceleration at their common point. For
+    a place of a driven carrier read [m]; of order 1 it is its speed, of order 2 its acceleration.
     """
 
     time: tuple          # [s], the first 0
     angle: tuple         # [rad]
     speed: tuple         # [rad/s]
     acceleration: tuple  # [rad/s2], the last 0
+    order: int = 0
+
+    def jumps(self) -> Sequence[float]:
+        """Return no time: it does not jump."""
+        return ()
 
     def rows(self, step: float) -> np.ndarray:
         """Return its pieces for steps of this size, see `SceneLoads`."""
@@ -108,6 +116,8 @@ class Drive:
             h * (np.diff(speed) - 2.0 * h * half[:-1]), h * h * np.diff(half)])
         cubic = np.array([[10.0, -4.0, 1.0], [-15.0, 7.0, -2.0], [6.0, -3.0, 1.0]])
         found[:-1, 4:] = (cubic @ lacking / h ** np.array([[3], [4], [5]])).T
+        for _ in range(self.order):
+            found[:, 1:-1], found[:, -1] = found[:, 2:] * np.arange(1, PIECE - 1), 0.0
         return found
 
 
@@ -187,14 +197,16 @@ def on_boundaries(times: Any, step: float) -> np.ndarray:
 # Parameters of a load's terms, by its name.
 TERM_NAMES = {channel: tuple(f'load.{channel}.{name}' for name in (
     'harmonic.amplitude', 'harmonic.frequency', 'harmonic.phase', 'piecewise.time',
-    'piecewise.value', 'table.time', 'table.value')) for channel in CHANNELS}
+    'piecewise.value', 'table.time', 'table.value'))
+    for channel in [each.name for each in INPUTS if each.prescribed]}
 
 
 def load_of(values: Mapping[str, Any]) -> Load:
     """Return the Load that the values describe, or raise ParameterError."""
-    return Load({channel: _terms_of(channel, tuple([values[name] for name in names]),
-                                    values['integrator.step'])
-                 for channel, names in TERM_NAMES.items()}, _drive(values))
+    terms = {channel: _terms_of(channel, tuple([values[name] for name in names]),
+                                values['integrator.step'])
+             for channel, names in TERM_NAMES.items()}
+    return Load({**terms, **_carrier_drive(values)}, _drive(values))
 
 
 @lru_cache(maxsize=4 * len(TERM_NAMES))
@@ -228,7 +240,7 @@ def _terms(prefix, values, step):
 def _drive(values):
     names = [f'motor.drive.{name}' for name in ('time', 'angle', 'speed', 'acceleration')]
     points = same_length({name: values[name] for name in names})
-    shaft, time, acceleration = values['motor.shaft'], points[0], points[3]
+    shaft, time = values['motor.shaft'], points[0]
     if (shaft == 'driven') != bool(time):
         raise ParameterError(f'motor.drive must be given with motor.shaft = driven, and only '
                              f'then; got {len(time)} points with motor.shaft = {shaft}')
@@ -236,12 +248,46 @@ def _drive(values):
         return Drive((0.0,), (values['initial.shaft'],), (0.0,), (0.0,))
     if not time:
         return None
-    if time[0] != 0.0 or not np.all(np.less(time[:-1], time[1:])):
-        raise ParameterError(f'motor.drive.time must ascend from 0, got {short(list(time))}')
-    if acceleration[-1] != 0.0:
-        raise ParameterError('motor.drive.acceleration must end with 0, since the shaft goes on '
-                             f'at the last speed; got {acceleration[-1]}')
+    _check_points(names, points)
     return Drive(*points)
+
+
+def _check_points(names, points):
+    time, acceleration = points[0], points[3]
+    if time[0] != 0.0 or not np.all(np.less(time[:-1], time[1:])):
+        raise ParameterError(f'{names[0]} must ascend from 0, got {short(list(time))}')
+    if acceleration[-1] != 0.0:
+        raise ParameterError(f'{names[3]} must end with 0, since what is driven goes on at the '
+                             f'last speed; got {acceleration[-1]}')
+
+
+def _carrier_drive(values):
+    # Terms of place, speed and acceleration of a driven carrier, by name of channel.
+    prefix, found = 'carrier.drive', {}
+    frequency, phase, time = (values[f'{prefix}.{name}'] for name in (
+        'harmonic.frequency', 'harmonic.phase', 'time'))
+    along = {axis: values[f'{prefix}.harmonic.{axis}'] for axis in 'xy'}
+    for given, names in ((time, ['x', 'y']), (frequency, ['harmonic.x', 'harmonic.y'])):
+        if given and not any(values[f'{prefix}.{name}'] for name in names):
+            raise ParameterError(f'{prefix}.{names[0]} or {names[1]} must be given with '
+                                 f'{prefix}.{"time" if given is time else "harmonic.frequency"}')
+    for axis in 'xy':
+        names = [f'{prefix}.{name}' for name in (
+            'time', axis, f'{axis}_speed', f'{axis}_acceleration')]
+        points, shaken = [], along[axis]
+        if any(values[name] for name in names[1:]):
+            points = same_length({name: values[name] for name in names})
+            _check_points(names, points)
+        terms = same_length({
+            f'{prefix}.harmonic.{axis}': shaken, f'{prefix}.harmonic.frequency': frequency,
+            f'{prefix}.harmonic.phase': phase or (0.0,) * len(frequency)}) if shaken else ()
+        for order, name in enumerate(('place', 'speed', 'acceleration')):
+            parts = [Drive(*points, order)] if points else []
+            parts += [Harmonic(size * (2.0 * np.pi * each)**order, each,
+                               late + 0.5 * np.pi * order) for size, each, late in zip(*terms)]
+            if parts:
+                found[f'carrier_{name}_{axis}'] = tuple(parts)
+    return found
 
 
 def payloads_of(values: Mapping[str, Any]) -> tuple[tuple[int, float, float, float], ...]:

@@ -15,7 +15,7 @@ from timo_sim.topics.commands import JOINTS
 
 INITIAL = 'initial'  # stands for the whole initial state
 # Parameters that no derivative or fit can vary begin with these.
-_FIXED = 'model.', 'integrator.', 'sensor.', 'payload.time', 'motor.drive'
+_FIXED = 'model.', 'integrator.', 'sensor.', 'payload.time', 'motor.drive', 'carrier.drive'
 _INDEXED = re.compile(r'(.+)\[(\d+)\]')
 
 

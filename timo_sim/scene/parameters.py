@@ -315,6 +315,19 @@ _ALL = [
     _limit('carrier.force_rate_limit', 'N/s', 'largest rate at which that force changes'),
     Parameter('carrier.held', 'none', '', 'axes of the world along which the carrier cannot move',
               choices=('none', 'x', 'y', 'both')),
+    _not_negative('carrier.drive.time', (), 's', 'times of points of a carrier that is driven '
+                  'along an axis, from 0 on; quintic polynomials in between, constant speed '
+                  'afterwards'),
+    *[Parameter(f'carrier.drive.{axis}{part}', (), unit, text.format(axis)) for axis in 'xy'
+      for part, unit, text in (('', 'm', 'places along world {} at these times; empty: no points'),
+                               ('_speed', 'm/s', 'speeds along {} at these times'),
+                               ('_acceleration', 'm/s2',
+                                'accelerations along {} at these times, the last 0'))],
+    _not_negative('carrier.drive.harmonic.frequency', (), 'Hz', 'frequencies of harmonic terms of '
+                  'the place of a driven carrier, amplitude sin(2 pi frequency t + phase)'),
+    Parameter('carrier.drive.harmonic.phase', (), 'rad', 'phases of these terms; empty: all 0'),
+    *[Parameter(f'carrier.drive.harmonic.{axis}', (), 'm', 'amplitudes of these terms along '
+                f'world {axis}; empty: it has none') for axis in 'xy'],
     _not_negative('motor.mass', 5.0, 'kg', 'mass of the motor, which moves with the carrier'),
     _not_negative('motor.shaft_inertia', 2.0, 'kg m2', 'moment of inertia of the motor shaft'),
     _not_negative('motor.viscous_friction', 0.0, 'N m s/rad', 'viscous friction torque on the '
@@ -632,8 +645,20 @@ def _asked_for(values):
             yield name, ', or arm.material'
     if values['motor.shaft'] != 'locked':
         yield 'motor.shaft_inertia', f' with motor.shaft = {values["motor.shaft"]}'
-    if values['carrier.held'] != 'both':
+    if fixed_axes(values) != 'both':
         yield 'carrier.mass', f' with carrier.held = {values["carrier.held"]}'
+
+
+def fixed_axes(values: Mapping[str, Any]) -> str:
+    """Return the axes along which the carrier is held or driven: none, x, y or both."""
+    held = values['carrier.held']
+    found = [axis for axis in 'xy' if held in (axis, 'both') or driven_along(values, axis)]
+    return 'both' if len(found) == 2 else ''.join(found) or 'none'
+
+
+def driven_along(values: Mapping[str, Any], axis: str) -> bool:
+    """Return whether the carrier is driven along an axis, x or y."""
+    return bool(values[f'carrier.drive.{axis}'] or values[f'carrier.drive.harmonic.{axis}'])
 
 
 def stated(values: Mapping[str, Any]) -> dict[str, Any]:

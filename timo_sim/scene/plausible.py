@@ -12,7 +12,7 @@ import numpy as np
 
 from timo_sim.model.bodies import SAME_PROFILE, thinned
 from timo_sim.scene.bodies import along, BODIES, profiles_of
-from timo_sim.scene.parameters import DEFAULTS, NEUTRAL, PARAMETERS
+from timo_sim.scene.parameters import DEFAULTS, fixed_axes, NEUTRAL, PARAMETERS
 
 # Ranges of real solids.
 _PLAUSIBLE = {'young_modulus': (1e5, 2e12, 'Pa'), 'density': (10.0, 25000.0, 'kg/m3')}
@@ -77,7 +77,7 @@ def find_implausible(values: Mapping[str, Any]) -> str | None:
 
 def find_outdated(given: Mapping[str, Any], values: Mapping[str, Any]) -> str | None:
     """Return a warning about what a scene of its own without version leaves out, or None."""
-    still = {'motor.mass': values['carrier.held'] == 'both' and not any(values['gravity']),
+    still = {'motor.mass': fixed_axes(values) == 'both' and not any(values['gravity']),
              'initial.shaft': values['motor.shaft'] == 'driven'}
     old = [f'{name} = {values[name]:g} (was {DEFAULTS[name]:g})' for name in NEUTRAL
            if name not in given and name in (

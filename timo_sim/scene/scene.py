@@ -20,7 +20,8 @@ from timo_sim.compiled.entry import Call
 from timo_sim.model import formulation_class
 from timo_sim.model.bodies import Constraints, Manipulator
 from timo_sim.model.formulation import Formulation
-from timo_sim.model.layout import AFTER, ANGLE, SPEED, START
+from timo_sim.model.layout import (
+    AFTER, ANGLE, PLACE_X, PLACE_Y, SPEED, SPEED_X, SPEED_Y, START)
 from timo_sim.model.modes import axial_modes
 from timo_sim.model.statics import equilibrium
 from timo_sim.scene.bodies import (
@@ -30,7 +31,7 @@ from timo_sim.scene.checks import (
 from timo_sim.scene.files import flatten, read_parameter_file
 from timo_sim.scene.loads import Load, load_of, payloads_of
 from timo_sim.scene.parameters import (
-    changed, check, checked, complete, DELAYS, FUNCTION, gives_arm, MAPPING, NUMBER,
+    changed, check, checked, complete, DELAYS, driven_along, FUNCTION, gives_arm, MAPPING, NUMBER,
     ParameterError, PARAMETERS, POSITIONS, SCENE, short, VELOCITIES, warn, whole_ratio)
 from timo_sim.scene.plausible import find_implausible, find_outdated
 from timo_sim.scene.sensors import errors_of
@@ -277,16 +278,21 @@ class Scene:
         values, rest = self.values, np.zeros(self.modal_count)
         position, velocity = ([values[name] for name in names] for names in (
             POSITIONS, VELOCITIES))
-        if self.load.drive is not None:
-            # The drive at the end of step -1: the stages of a step with a kink see it smoothed.
-            position[2], velocity[2] = self.load.stages(-1, 1, self.step)[
-                0, AFTER, [ANGLE, SPEED]]
+        # Drives at the end of step -1: the stages of a step with a kink see them smoothed.
+        driven = [driven_along(values, axis) for axis in 'xy'] + [self.load.drive is not None]
+        if any(driven):
+            at_start = self.load.stages(-1, 1, self.step)[0, AFTER]
+            for k, columns in enumerate(((PLACE_X, SPEED_X), (PLACE_Y, SPEED_Y), (ANGLE, SPEED))):
+                if driven[k]:
+                    position[k], velocity[k] = at_start[[*columns]]
         q, qdot = map(self.modal, _MODAL)
         motion = np.concatenate([position, q or rest, velocity, qdot or rest])
         if not values['initial.equilibrium']:
             return motion
         try:
-            return equilibrium(model, motion, self.load_at_start())
+            found = equilibrium(model, motion, self.load_at_start())
+            found[model.size // 2:][:2] = velocity[:2]
+            return found
         except ValueError as error:
             raise ParameterError(f'initial.equilibrium = true: {error}') from None
 

@@ -16,7 +16,8 @@ from timo_sim.model.layout import (
     AFTER, INPUTS, LOADS, Motion, rotate, START, STEP_LOADS, TORQUE, VOLTAGE)
 from timo_sim.scene.bodies import motor_constants
 from timo_sim.scene.loads import CHANNELS, Load
-from timo_sim.scene.parameters import numbers, Parameter, ParameterError, steps_in
+from timo_sim.scene.parameters import (
+    fixed_axes, numbers, Parameter, ParameterError, steps_in)
 from timo_sim.scene.scene import load_scene, Scene, scene_from, SceneLike
 from timo_sim.simulation.cuda import Cuda
 from timo_sim.simulation.loads import (
@@ -471,7 +472,7 @@ def lane_size(scene: Scene) -> dict[str, Any]:
     values = scene.values
     return {**{name: values[name] for name in (
         'model.formulation', 'model.axial_modes', 'model.modes', 'integrator.step',
-        'carrier.held', 'motor.shaft')},
+        'motor.shaft')}, 'the axes along which the carrier is held or driven': fixed_axes(values),
         **{f'{name} > 0': values[name] > 0.0 for name in (
             'push.position', 'hub.radius', 'motor.gear.stiffness', 'motor.spring.stiffness')},
         'the static shapes': scene.static,
