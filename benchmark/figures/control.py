@@ -56,7 +56,6 @@ SLEWS = {'PD': lambda scene: PD(turn), 'ZV': lambda scene: shaped(scene, 'ZV'),
 # With a motor that is too weak for the plan of 2 s.
 WEAK = {'ZV': SLEWS['ZV'], 'LQR, plan of 3 s': lambda scene: LQR(scene, 3.0),
         'LQR, shortest plan': lambda scene: LQR(scene, None), 'MPPI': mppi.MPPI}
-SEEDS = range(10)
 PAYLOAD = 2.0  # [kg]
 COLOURS = {'PD': '#d55e00', 'ZV': '#e69f00', 'ZVD': '#009e73', 'LQR': '#0072b2'}
 
@@ -100,17 +99,6 @@ def weak(scene):
                    for values in PLANTS.values()]
         rows.append((name, *map(settling, map(slew.score, records))))
     return rows, float(np.median(times))
-
-
-def ratios(scene, values):
-    """Return the ratio of residual vibrations, PD over LQR, as its range over seeds, in words."""
-    found = []
-    for seed in SEEDS:
-        plant = scene.vary({**values, 'sensor.seed': seed})
-        left = [slew.score(in_a_loop(plant, make(scene), slew.DURATION + 1.0)).residual
-                for make in (SLEWS['PD'], SLEWS['LQR'])]
-        found.append(left[0] / left[1])
-    return f'{min(found):.0f} to {max(found):.0f}'
 
 
 def carries(scene):
@@ -158,17 +146,15 @@ def main():
     scene = timo_sim.load_scene(slew.SCENE)
     rows, records = slews(scene)
     print(table(['', *PLANTS, 'peak torque'], rows))
-    print(f'\nPD over LQR, {len(SEEDS)} seeds: {ratios(scene, {})}; with the stroke '
-          f'{ratios(scene, PLANTS["1 N s stroke on the tip"])}.\n')
+    path = Path(ROOT / 'doc' / 'control.png')
+    draw(records, path)
+    print(f'\n{path} is drawn\n')
     print(table([f'with {PAYLOAD:g} kg more at the tip', 'payload not known', 'payload known'],
                 carries(scene)) + '\n')
     rows, span = weak(scene)
     print(table([f'motor of {mppi.LIMIT:g} N m', *PLANTS], rows))
     print(f'\na plan of MPPI: {1e3 * span:.0f} ms, for {1e3 * mppi.HOLD:g} ms\n')
     print(table(['carrier by 0.5 m', 'settled', 'residual'], moves(scene)))
-    path = Path(ROOT / 'doc' / 'control.png')
-    draw(records, path)
-    print(f'\n{path} is drawn')
 
 
 if __name__ == '__main__':
