@@ -168,6 +168,7 @@ def test_the_terminal_is_as_it_was_whatever_ends_it(client, terminal):
 SENT = {'motor_torque': (['-1.5'], [-1.5, 0]),
         'commands': (['1', '2', '-3e-1'], [1, 2, 0, 0, -0.3, 0]),
         'tip_wrench': (['.5', 'torque.z=2', 'frame_id=arm'], [0, 0, 0.5, 0, 2, 0, 0]),
+        'carrier_acceleration': (['y=-2'], [0, -2]),
         'joint_command': (['shaft=4'], 4 * [np.nan] + [4, 0])}
 
 

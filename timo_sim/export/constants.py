@@ -69,9 +69,11 @@ def refuse(scene: Scene, estimate: bool) -> None:
 
 def interface_of(scene: Scene, estimate: bool) -> Interface:
     """Return the inputs and outputs of a scene's library."""
+    held = scene.values['carrier.held']
     inputs = [Quantity(each.name, each.unit, each.meaning, column)
               for column, each in enumerate(INPUTS)
-              if each.group and not (each.needs and not scene.values[each.needs])]
+              if each.group and not (each.needs and not scene.values[each.needs])
+              and (each.group != 'base' or held in (each.name[-1], 'both'))]
     position, speed = 'carrier_x carrier_y shaft'.split(), 'm m rad'.split()
     modes = range(1, 1 + len(scene.build().modes))
     outputs = [

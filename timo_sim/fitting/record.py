@@ -42,6 +42,8 @@ OUTPUTS = {
         lambda run, read=sensor.of_motion: read(run.model, run.values))
         for sensor in SENSORS if sensor.of_motion},
     'shaft_velocity': Quantity('rad/s', 'speed of the shaft', lambda run: run.shaft_velocity),
+    'rotor_velocity': Quantity('rad/s', 'speed of the rotor over the gear ratio',
+                               lambda run: run.rotor_velocity),
     'carrier_x': Quantity('m', 'position of the carrier', lambda run: run.carrier[:, 0]),
     'carrier_y': Quantity('m', 'position of the carrier', lambda run: run.carrier[:, 1]),
     'tip_x': Quantity('m', 'position of the tip, world axes', lambda run: run.position()[:, 0]),

@@ -27,6 +27,8 @@ def _fields(command: Command) -> Sequence[str]:
     if command.type_name.endswith('WrenchStamped'):
         return [*(name for place, name in enumerate(_WRENCH) if place not in command.unused),
                 'frame_id']
+    if command.type_name.endswith('Vector3Stamped'):
+        return 'x', 'y', 'frame_id'
     return ('data',) if command.type_name.endswith('Float64') else JOINTS
 
 
@@ -63,9 +65,12 @@ def _content(topic, command, given):
         return {'data': [given[joint] for joint in JOINTS]}
     if kind == 'JointState':
         return {'name': [*given], 'effort': [*given.values()]}
+    header = {'frame_id': given.pop('frame_id', '')}
+    if kind == 'Vector3Stamped':
+        return {'header': header, 'vector': given}
     wrench = {vector: {axis: given[name] for axis in 'xyz'
                        if (name := f'{vector}.{axis}') in given} for vector in _VECTORS}
-    return {'header': {'frame_id': given.get('frame_id', '')}, 'wrench': wrench}
+    return {'header': header, 'wrench': wrench}
 
 
 def send(topic: str, words: Sequence[str], node: str, patience: float) -> str:

@@ -25,7 +25,8 @@ from timo_sim.log.write import Channel, Recorder
 from timo_sim.ros.private import take
 from timo_sim.simulation.snapshot import Snapshot
 from timo_sim.topics.cdr import Serializer
-from timo_sim.topics.commands import COMMANDS, GROUPS, JOINTS, LARGEST_COMMAND, RefusedError
+from timo_sim.topics.commands import (
+    COMMANDS, GROUPS, JOINTS, LARGEST_COMMAND, RefusedError, TIMED_OUT)
 from timo_sim.topics.outputs import in_frames, NANOSECONDS
 
 _DISCOVERY_TIME = 10.0  # [s] of wall time in which a new subscriber discovers the publisher, too
@@ -160,6 +161,8 @@ def _joints(message):
 # By type of a command: the function that returns texts and lists of numbers of a message.
 # `topics.cdr` could do this, too, but would need 20 ms for a hostile message of 64 kB.
 _READ = {
+    'geometry_msgs/msg/Vector3Stamped': lambda message: (
+        [message.header.frame_id], [(message.vector.x, message.vector.y, message.vector.z)]),
     'geometry_msgs/msg/WrenchStamped': _wrench,
     'std_msgs/msg/Float64': lambda message: ([], [(message.data,)]),
     'sensor_msgs/msg/JointState': _joints,
@@ -293,7 +296,7 @@ class Commands:
                         f'no command for {timeout_steps} steps, the {key} input falls to zero',
                         throttle_duration_sec=5.0)
                     commanded[GROUPS[key]] = 0.0
-                    index = list(GROUPS).index(key)  # see the order of COMMANDS
+                    index = TIMED_OUT[key]
                     started.append((index, serialize_message(self.inlets[index].type())))
         return started
 

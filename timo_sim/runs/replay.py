@@ -30,7 +30,7 @@ from timo_sim.simulation.loads import load_of_commands
 from timo_sim.simulation.simulator import Simulator
 from timo_sim.simulation.warnings import DivergenceError
 from timo_sim.topics.cdr import pack
-from timo_sim.topics.commands import COMMANDED, COMMANDS, GROUPS, has_tip_force
+from timo_sim.topics.commands import COMMANDED, COMMANDS, has_tip_force, TIMED_OUT
 from timo_sim.topics.outputs import title, with_angles
 
 _ROUNDING = 1e-9  # relative error of times in steps
@@ -339,7 +339,7 @@ def _with_timeouts(commands, recording, scene, end):
         for group, begun in list(since.items()):
             over = -(-(begun + steps) // every) * every
             if over < entry[0]:
-                kind = list(GROUPS).index(group)  # see the order of COMMANDS
+                kind = TIMED_OUT[group]
                 zeros = np.zeros(len(COMMANDS[kind].columns))
                 result.append((over, kind, zeros, pack(COMMANDS[kind].type_name, {})))
                 del since[group]

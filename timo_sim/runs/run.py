@@ -126,7 +126,7 @@ class Run(MotionFields, PointsOfArm):
         """
         power, steps = self.model.dissipation(self.values), np.rint(self.t / self.scene.step)
         if self.model.manipulator.motor_limit:  # at which the back-EMF takes less (T66)
-            speed = self._motor_speed
+            speed = self.rotor_velocity
             power += self.model.manipulator.excess(self.effort[:, 2], speed) * speed
         every = int(steps[-1]) // max(len(steps) - 1, 1)
         if every > 1 and power.any() and steps[-1] <= _MOST_REPEATED:
@@ -153,7 +153,8 @@ class Run(MotionFields, PointsOfArm):
         return np.concatenate([model.momentum(self.values[part]) for model, part in self._pieces])
 
     @property
-    def _motor_speed(self):
+    def rotor_velocity(self) -> np.ndarray:
+        """Speed of the rotor of an elastic gear over the gear ratio, else of the shaft, (n,)."""
         return self.values[:, len(self.model.rotor):] @ self.model.rotor
 
     @cached_property
@@ -177,7 +178,7 @@ class Run(MotionFields, PointsOfArm):
             return joints.values[common(joints.ns, np.rint(self.t * 1e9).astype(int))[0], 6:9]
         loads = self.loads()
         effort = applied(self.model, self.values, loads)
-        effort[:, 2] = self.model.manipulator.effort(loads[:, TORQUE], self._motor_speed)
+        effort[:, 2] = self.model.manipulator.effort(loads[:, TORQUE], self.rotor_velocity)
         constrained = self.model.constrained
         if not constrained.any():
             return effort

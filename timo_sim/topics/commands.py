@@ -37,11 +37,11 @@ def _check_finite(numbers):
 
 
 def _forces(texts, numbers, names):
-    """Return (x, y) for each frame of `names`: the force in the wrench's frame, else zeros."""
+    """Return (x, y) for each frame of `names`: the vector in the message's frame, else zeros."""
     _check_finite(numbers)
     frame = texts[0] or names[0]
     if frame not in names:
-        raise RefusedError(f'frame_id must be empty, {", ".join(map(repr, names[:-1]))} or '
+        raise RefusedError(f'frame_id must be {", ".join(["empty", *map(repr, names[:-1])])} or '
                            f'{names[-1]!r}, got {frame[:40]!r}')
     return [tuple(numbers[:2]) if frame == name else (0.0, 0.0) for name in names]
 
@@ -54,6 +54,10 @@ def _carrier_wrench(texts, lists, frames):
 def _tip_wrench(texts, lists, frames):
     world, arm, tip = _forces(texts, lists[0], [frames[name] for name in ('world', 'arm', 'tip')])
     return {'tip': (*world, *arm, lists[0][5], *tip)}
+
+
+def _base_vector(texts, lists, frames):
+    return {'base': _forces(texts, lists[0], [frames['world']])[0]}
 
 
 def _scalar(lists):
@@ -130,8 +134,7 @@ class Command(NamedTuple):
         return {group for group in self.groups if not set(GROUPS[group]).isdisjoint(columns)}
 
 
-# The first three are in the order of GROUPS: the log shows a time-out of a group as a message of
-# zeros on its topic among these.
+# The motor's voltage is the last: a node without such a motor has all topics but this.
 COMMANDS = [
     Command('~/carrier_wrench', 'geometry_msgs/msg/WrenchStamped', _carrier_wrench, ('carrier',),
             'force x, y on the carrier', unused=(2, 3, 4, 5)),
@@ -145,10 +148,17 @@ COMMANDS = [
             'efforts of `carrier_x`, `carrier_y`, `shaft`, by name; other joints are ignored'),
     Command('~/commands', 'std_msgs/msg/Float64MultiArray', _commands, ('carrier', 'shaft'),
             'the same three, as an array'),
+    Command('~/carrier_acceleration', 'geometry_msgs/msg/Vector3Stamped', _base_vector,
+            ('base',), 'acceleration x, y of what holds the carrier along axes that are held'),
     Command('~/motor_voltage', 'std_msgs/msg/Float64',
             lambda texts, lists, frames: {'shaft': (0.0, _scalar(lists))}, ('shaft',),
             'voltage at a DC motor, with `motor.dc`'),
 ]
+
+
+# A log shows a time-out of a group as a message of zeros on the first topic that sets it alone.
+TIMED_OUT = {command.groups[0]: index for index, command in reversed([*enumerate(COMMANDS)])
+             if len(command.groups) == 1}
 
 
 def has_tip_force(commanded: np.ndarray) -> bool:
