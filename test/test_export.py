@@ -17,8 +17,8 @@ import timo_sim
 from timo_sim.export.c import write_c
 from timo_sim.export.constants import interface_of
 from timo_sim.model.layout import FORCE_X, LOADS, place, TORQUE
-from timo_sim.scene.loads import CHANNELS
 from timo_sim.export.instance import MODAL, SAVED
+from timo_sim.scene.parameters import PARAMETERS
 
 ROOT = Path(__file__).resolve().parents[1]
 RUN, ABUSE = (ROOT / 'test/data' / name for name in ('run_arm.c', 'abuse_arm.c'))
@@ -27,9 +27,7 @@ CC = shutil.which('cc')
 CROSS = {name: (shutil.which(f'{name}-linux-gnu-gcc'), shutil.which(f'qemu-{name}'))
          for name in ('aarch64', 'riscv64')}
 pytestmark = pytest.mark.skipif(CC is None, reason='needs a C compiler')
-NO_LOADS = {f'load.{channel}.{kind}': () for channel in CHANNELS for kind in (
-    'harmonic.amplitude', 'harmonic.frequency', 'harmonic.phase', 'piecewise.time',
-    'piecewise.value', 'table.time', 'table.value')}
+NO_LOADS = {name: () for name in PARAMETERS if name.startswith('load.')}
 GEAR = {'motor.gear.stiffness': 900.0, 'motor.gear.damping': 2.0, 'motor.gear.backlash': 0.01,
         'motor.rotor.inertia': 0.5, 'motor.rotor.coulomb_friction': 0.1,
         'motor.rotor.viscous_friction': 0.2, 'motor.coulomb_friction': 0.1,

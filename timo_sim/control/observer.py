@@ -138,7 +138,8 @@ class Observer(Stateful, PointsOfArm):
             shown=np.zeros(readings), expected=np.zeros(readings),
             slope=np.zeros((readings, count)), normalised=np.zeros(readings),
             joint=room, lower=room))
-        self._go_on, self._corrected, self._faded = predict.of(self._known), (None, None), None
+        self._go_on, self._faded = predict.of(self._known), None
+        self._corrected: tuple[Any, Any] = None, None
         self.simulator = Simulator(scene)
         self.innovation = self.normalised_innovation = np.zeros(0)
         self._square, self.warning = 1.0, self.simulator.warning

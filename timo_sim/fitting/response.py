@@ -57,7 +57,7 @@ def response_of(mapping: Mapping[str, Any], table: Any, source: str) -> Response
     def numbers(column):
         return np.asarray(table.column(column), dtype=float)
 
-    cause, outputs = mapping.get('input'), mapping.get('outputs')
+    cause, outputs = mapping.get('input', ''), mapping.get('outputs')
     if cause not in INPUT_UNITS or cause == DRIVE or not isinstance(outputs, Mapping) or not (
             outputs.keys() <= OUTPUTS.keys()) or {*mapping} != {'frequency', 'input', 'outputs'}:
         raise ParameterError(

@@ -274,15 +274,16 @@ def _carrier_drive(values):
     for axis in 'xy':
         names = [f'{prefix}.{name}' for name in (
             'time', axis, f'{axis}_speed', f'{axis}_acceleration')]
-        points, shaken = [], along[axis]
+        shaken = along[axis]
+        points: tuple[Any, ...] = ()
         if any(values[name] for name in names[1:]):
-            points = same_length({name: values[name] for name in names})
+            points = tuple(same_length({name: values[name] for name in names}))
             _check_points(names, points)
         terms = same_length({
             f'{prefix}.harmonic.{axis}': shaken, f'{prefix}.harmonic.frequency': frequency,
             f'{prefix}.harmonic.phase': phase or (0.0,) * len(frequency)}) if shaken else ()
         for order, name in enumerate(('place', 'speed', 'acceleration')):
-            parts = [Drive(*points, order)] if points else []
+            parts: list[Any] = [Drive(*points, order)] if points else []
             parts += [Harmonic(size * (2.0 * np.pi * each)**order, each,
                                late + 0.5 * np.pi * order) for size, each, late in zip(*terms)]
             if parts:

@@ -116,8 +116,9 @@ class Scene:
         the modes are computed; by default those of the end effector.
         """
         own = self.manipulator
-        body, basis = (own if each is None else replace(own, **dict(zip(_TIP_FIELDS, each)))
-                       for each in (tip, first))
+        body, basis = (
+            own if each is None else replace(own, **dict[str, Any](zip(_TIP_FIELDS, each)))
+            for each in (tip, first))
         return self._own_model if body == own == basis else self._model(
             self._damping, body, basis)
 
