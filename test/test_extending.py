@@ -109,8 +109,8 @@ def test_in_the_node_its_log_and_a_table(extended):
     python(extended, '-m', 'timo_sim.cli.sim_node', '--ros-args', '--params-file',
            'config/paper.yaml', '-p', 'duration:=0.5', '-p', 'record_file:=run.mcap', '-p',
            'model.modes:=1', '-p', 'model.formulation:=newton_small_speed', '-p',
-           'real_time_factor:=0.0', '-p', 'arm.profile.position:=[0.0, 2.0]', '-p',
-           'arm.profile.height:=[0.02, 0.02]')
+           'real_time_factor:=0.0', '-p', 'estimate_error:=false', '-p',
+           'arm.profile.position:=[0.0, 2.0]', '-p', 'arm.profile.height:=[0.02, 0.02]')
     told = python(extended, '-c', 'from timo_sim.cli import main; [main(line.split(), '
                   'standalone_mode=False) for line in ("replay run.mcap", '
                   '"export run.mcap -o run.csv")]')

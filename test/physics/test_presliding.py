@@ -311,9 +311,9 @@ def test_what_does_not_fit_together_is_refused(values, told):
 
 
 @pytest.mark.parametrize('more', [
-    {}, {'model.formulation': 'newton'}, GEAR,
-    {'motor.coulomb_asymmetry': 0.4, 'motor.coulomb_static': 1.6, 'motor.coulomb_speed': 0.05},
-    {'model.axial_modes': 1, 'motor.coulomb_asymmetry': 0.4}], ids=str)
+    {}, {'model.formulation': 'newton'},
+    {**GEAR, 'model.axial_modes': 1, 'motor.coulomb_asymmetry': 0.4, 'motor.coulomb_static': 1.6,
+     'motor.coulomb_speed': 0.05}], ids=str)
 def test_a_batch_does_what_a_simulator_does(more):
     """One lane is without friction of the shaft; bits depend on its own numbers alone."""
     scene = timo_sim.load_scene({}, {**LIVELY, **SHAKEN, 'model.modes': 1, **more})
