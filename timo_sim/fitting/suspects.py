@@ -20,7 +20,7 @@ from typing import Any, NamedTuple
 
 import numpy as np
 from scipy.optimize import least_squares
-from scipy.signal import bilinear, lfilter
+from scipy.signal import lfilter
 
 from timo_sim.fitting.objective import Objective
 from timo_sim.fitting.problem import DIVERGED, limit_inputs, WHITE, whiteness
@@ -69,15 +69,20 @@ class _Effect(NamedTuple):
     shape: Sequence[float] = ()     # further arguments, which are fitted with the sizes
 
 
+def _values(objective, x):
+    """Return the values of the scene of each record, and of its sensors."""
+    return [{**problem.scene.values, **objective.values(x, k)}
+            for k, problem in enumerate(objective.problems)]
+
+
 def _with_effect(objective, x, effect, arguments):
     """Return an objective whose scenes have an effect, with these arguments."""
     def change(values):
         return effect.change(values, *arguments)
 
     problems = []
-    for k, problem in enumerate(objective.problems):
+    for problem, values in zip(objective.problems, _values(objective, x)):
         problem = copy(problem)
-        values = {**problem.scene.values, **objective.values(x, k)}
         problem.record = limit_inputs(problem.record, {
             **values, **change(values),
             **{each.rate_limit: np.inf for each in INPUTS}})  # rates are limited already
@@ -110,6 +115,14 @@ def suspects(objective: Objective, x: np.ndarray, jacobian: np.ndarray,
         rest = left + columns @ factors
         return float(1.0 - (rest @ rest) / (left @ left)), is_white(rest), factors
 
+    def without(effect, sizes):
+        """Return the residuals with nothing of an effect, for which mostly no run is needed."""
+        nothing = 0.0 * sizes
+        if all(values.get(name, 0.0) == value for values in _values(objective, x)
+               for name, value in effect.change(values, *nothing).items()):
+            return here
+        return _with_effect(objective, x, effect, nothing).residuals(x)
+
     share, white, frequency = max(
         ((*explain(columns)[:2], frequency) for frequency, columns
          in _resonances(objective, x)), default=(0.0, False, 0.0))
@@ -120,8 +133,8 @@ def suspects(objective: Objective, x: np.ndarray, jacobian: np.ndarray,
     for effect in _effects(objective, x):
         of_trials = []
         for sizes in map(np.array, effect.trials):
-            runs = [_with_effect(objective, x, effect, each).residuals(x)
-                    for each in (0.0 * sizes, *np.diag(sizes))]
+            runs = [without(effect, sizes), *(_with_effect(objective, x, effect, each).residuals(x)
+                                              for each in np.diag(sizes))]
             if all(np.all(np.abs(run) < DIVERGED) for run in runs):
                 share, white, factors = explain([run - runs[0] for run in runs[1:]], effect.low)
                 of_trials.append((share, white, np.maximum(factors, effect.low) * sizes))
@@ -301,17 +314,23 @@ def _resonances(objective, x):
     if not problem.record.inputs or not len(own) or own[0] >= highest:
         return
     step, series = problem.scene.step, objective.series()
+    driven = []
+    for each in objective.problems:
+        t = step * np.arange(round(each.record.duration / step) + 1)
+        driven.append((each.record, each.until, t, sum(
+            np.interp(t, given.t, given.values) - given.values[0]
+            for given in each.record.inputs.values())))
     for frequency in np.geomspace(own[0], highest, _RESONANCES):
         if np.abs(frequency / own - 1.0).min() < _BESIDE:
             continue
-        omega, columns = 2.0 * np.pi * frequency, []
-        for which in ([omega**2], [omega, 0.0]):  # its position and its speed
-            system = bilinear(which, [1.0, 2.0 * _DAMPING * omega, omega**2], 1.0 / step)
+        # The bilinear transform of 1 / (s^2 + 2 zeta s + 1), s in terms of the frequency.
+        s, columns = 1.0 / (np.pi * frequency * step), []
+        damped = 2.0 * _DAMPING * s
+        system = [s**2 + damped + 1.0, 2.0 - 2.0 * s**2, s**2 - damped + 1.0]
+        for which in ([1.0, 2.0, 1.0], [s, 0.0, -s]):  # its position and its speed
             parts = []
-            for record, until in ((each.record, each.until) for each in objective.problems):
-                t = step * np.arange(round(record.duration / step) + 1)
-                shown = sum(lfilter(*system, np.interp(t, each.t, each.values) - each.values[0])
-                            for each in record.inputs.values())
+            for record, until, t, given in driven:
+                shown = lfilter(which, system, given)
                 parts += [np.interp(each.t[each.t <= until], t, shown)
                           for each in record.outputs.values()]
             columns += [np.concatenate([
