@@ -262,9 +262,9 @@ def ringdown(t: ArrayLike, values: ArrayLike, start: float | None = None,
 
     """
     t, values = (np.ravel(each).astype(float) for each in (t, values))
-    if t.shape != values.shape or (np.diff(t) <= 0.0).any():
-        raise ParameterError('t must ascend and have as many numbers as values, got '
-                             f'{len(t)} and {len(values)}')
+    if t.shape != values.shape or (np.diff(t) <= 0.0).any() or (np.abs(values) > 1e100).any():
+        raise ParameterError('t must ascend and have as many numbers as values, which are at '
+                             f'most 1e+100 in size, got {len(t)} and {len(values)}')
     low, high = (default if each is None else Parameter(name, 0.0, 's', '').check(each)
                  for name, each, default in (('start', start, -math.inf), ('end', end, math.inf)))
     within = (t >= low) & (t <= high)
