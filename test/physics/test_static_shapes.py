@@ -10,6 +10,7 @@ import pytest
 
 from oracles.elastica import boundary_value
 import timo_sim
+from timo_sim.simulation.finer import refine
 
 BARE = {'arm.length': 1.0, 'arm.section.height': 0.01, 'arm.section.width': 0.03,
         'arm.density': 2700.0, 'arm.young_modulus': 7e10, 'arm.shear_modulus': 2.6e10,
@@ -64,6 +65,19 @@ def test_many_modes_that_need_no_shape_are_compared_with_a_run_that_has_it(modes
     error = np.hypot(*(run.position()[-1] - end))
     assert scene.static == () and 1e-7 < error < 1e-4
     assert run.stats['estimated_tip_error_m'] == pytest.approx(error, rel=0.05)
+
+
+@pytest.mark.parametrize('modes', [3, 4])
+def test_one_more_mode_shows_the_error_of_an_arm_with_a_heavy_tip(modes):
+    """The first mode that is left out has most of the error."""
+    scene = timo_sim.load_scene('paper', {**BARE, **HEAVY, 'model.modes': modes})
+    torque, end = arc(scene)
+    run = timo_sim.simulate(scene.vary({
+        'initial.equilibrium': True, 'load.tip_torque.piecewise.time': [0.0],
+        'load.tip_torque.piecewise.value': [torque]}), 0.004)
+    finer, error = refine(scene, 2), np.hypot(*(run.position()[-1] - end))
+    assert finer.values['model.modes'] == modes + 1 and finer.static == () and error > 1e-7
+    assert 0.5 < run.stats['estimated_tip_error_m'] / error < 1.1
 
 
 def test_shapes_follow_the_modes_and_only_a_light_tip_has_them():

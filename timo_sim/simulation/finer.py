@@ -4,9 +4,10 @@
 """
 Finer runs of a scene, from whose tip the error of a run is measured, and Simulators with one.
 
-A finer run has two more modes in bending and more axial modes, `exact` equations, and a step
-of half the length, or less where it must resolve more. The distance between the tips of both runs
-is the estimated error: nothing about the motion is assumed, so it also holds where errors grow.
+A finer run has one or two more modes in bending and more axial modes, `exact` equations, and a
+step of half the length, or less where it must resolve more. The distance between the tips of both
+runs is the estimated error: nothing about the motion is assumed, so it also holds where errors
+grow.
 
 Axial vibrations are much faster than what a step resolves. The stretch that matters follows slow
 forces, and a critically damped axial mode follows them in steps of any length: of a motion at the
@@ -25,14 +26,13 @@ import numpy as np
 
 from timo_sim.compiled.machine import telling
 from timo_sim.model.formulation import Formulation
-from timo_sim.model.layout import rotate
 from timo_sim.model.modes import axial_modes
 from timo_sim.scene.loads import on_boundaries
 from timo_sim.scene.parameters import (
     checked, FLAG, FUNCTION, ParameterError, PARAMETERS, WHOLE)
 from timo_sim.scene.scene import load_scene, Scene, SceneLike
 from timo_sim.scene.static_shapes import (
-    AXIAL_PHASE, MORE_MODES, needed_static, needed_static_of_finer)
+    AXIAL_PHASE, MORE_MODES, needed_static, needed_static_of_finer, one_more_does)
 from timo_sim.simulation.simulator import Simulator
 from timo_sim.simulation.warnings import (
     DivergenceError, inaccurate, more_axial, MOST_APART, NO_FINER_RUN, unseen_load)
@@ -56,24 +56,25 @@ def refine(scene: Scene, parts: int, modes: int | None = None, axial: int | None
     """
     Return a finer scene, with `parts` steps for each step of the scene.
 
-    It has so many further `modes` in bending, by default two, or three times the present ones
-    where loads are picked up, too; and so many further `axial` modes, by default one, or all that
-    answer loads if the scene has some. The first axial mode is critically damped if its steps do
-    not resolve it. Its formulation is `exact`, and it has the
+    It has so many further `modes` in bending, by default two, or one where `one_more_does`, or
+    three times the present ones where loads are picked up, too; and so many further `axial` modes,
+    by default one, or all that answer loads if the scene has some. The first axial mode is
+    critically damped if its steps do not resolve it. Its formulation is `exact`, and it has the
     static shapes that loads on the tip need, unless it has the `same_equations`. Its space
     contains that of the scene.
     """
-    values, static = scene.values, scene.static
+    values, static, one = scene.values, scene.static, False
     bending, stretching = values['model.modes'], values['model.axial_modes']
     if modes is None:
         pushed = scene.load.terms['push_x'] or scene.load.terms['push_y']
         times = _MODES_OF_IMPACT if scene.payloads else _MODES_OF_PUSH if pushed else 1
-        modes = min(times * bending + MORE_MODES, _MOST_MODES) - bending
+        one = times == 1 and one_more_does(scene.manipulator, bending, static)
+        modes = 1 if one else min(times * bending + MORE_MODES, _MOST_MODES) - bending
     if axial is None:
         axial = max(_STRETCHES - stretching, 1) if stretching else 1
     if not bending:
         modes = axial = 0  # a rigid arm stays rigid
-    if not same_equations:
+    if not same_equations and not one:
         static += tuple(load for load in needed_static_of_finer(
             scene.manipulator, bending + modes) if load not in static)
     if not scene.manipulator.arm.stretches:
@@ -168,10 +169,14 @@ def tip_distances(model: Formulation, motions: np.ndarray, other: Formulation,
 
 def _distances(model, motions, other, others):
     # Of both kinds, at each time, (2, n).
-    tips = model.tips(motions)[:, :2].T, other.tips(others)[:, :2].T
-    places = [np.array(each[:, :2].T + rotate(each[:, 2], *tip))
-              for each, tip in zip((motions, others), tips)]
-    return np.array([np.hypot(*(a - b)) for a, b in (places, tips)])
+    tips = _complex(model.tips(motions)), _complex(other.tips(others))
+    places = [_complex(values) + np.exp(1j * values[:, 2]) * tip
+              for values, tip in zip((motions, others), tips)]
+    return np.abs([places[0] - places[1], tips[0] - tips[1]])
+
+
+def _complex(values):
+    return np.ascontiguousarray(values[:, :2]).view(complex)[:, 0]  # x + iy
 
 
 class Motions(NamedTuple):
