@@ -56,26 +56,28 @@ def _layout(kind, shapes, lanes, pad, given):
     """
     Return the layout of constants of a kind whose fields have these shapes.
 
-    That is sizes by name; shapes of the fields in a block, padded, without lanes; their offsets by
-    name; the length of a block; their strides within it [B]; and the key of its machine code.
+    That is sizes by name; offsets of the fields in a block, by name, and the length of a block
+    [B]; types, shapes, padded, and strides [B] of the fields in a block, by name; the places of
+    all their numbers in a block without lanes; and the key of its machine code.
     """
-    sizes, padded, offsets, strides, end = dict(given), [], {}, [], 0
+    sizes, offsets, views, places, end = dict(given), {}, {}, [np.empty(0, dtype=int)], 0
     for field, shape in zip(fields_of(kind), shapes):
-        if pad:
-            shape = tuple(size + -size % WIDTH if str(dim).startswith('padded') else size
-                          for dim, size in zip(field.dims, shape))
-        for dim, size in zip(field.dims, shape, strict=True):
+        padded = tuple(size + -size % WIDTH if pad and str(dim).startswith('padded') else size
+                       for dim, size in zip(field.dims, shape))
+        for dim, size in zip(field.dims, padded, strict=True):
             if sizes.setdefault(dim, size) != size if isinstance(dim, str) else dim != size:
-                raise ValueError(f'{field.name} of {kind.__name__} has shape {shape}, not '
+                raise ValueError(f'{field.name} of {kind.__name__} has shape {padded}, not '
                                  f'{field.dims} as of {sizes}')
-        padded.append(shape)
         offsets[field.name] = end
-        whole = *shape, *_vectors(field, lanes)
-        strides.append(tuple(_NUMBER * math.prod(whole[axis + 1:]) for axis in range(len(whole))))
+        whole = *padded, *_vectors(field, lanes)
+        strides = tuple(_NUMBER * math.prod(whole[axis + 1:]) for axis in range(len(whole)))
+        views[field.name] = np.int64 if field.whole else float, whole, strides
+        places.append(end // _NUMBER + np.arange(math.prod(padded)).reshape(padded)[
+            tuple(map(slice, shape))].ravel())
         length = _NUMBER * math.prod(whole)
         end += _CACHE_LINE * math.ceil(length / _CACHE_LINE)  # as vectors should begin
     key = kind, lanes, tuple(sorted(sizes.items()))
-    return sizes, padded, offsets, max(end, _CACHE_LINE), strides, key
+    return sizes, offsets, max(end, _CACHE_LINE), views, np.concatenate(places), key
 
 
 def _vectors(field, lanes):
@@ -93,7 +95,7 @@ class Packed:
     all lanes. `sizes`, by name, are given for what no field has.
 
     `offsets` are the places of fields in a block, by name, `length` is that of a block [B], and
-    `groups` the number of blocks. `views` are the fields as arrays, by name, with lanes last.
+    `groups` the number of blocks. A field is also an attribute, an array with lanes last.
     """
 
     def __init__(self, fields: Any, lanes: int, pad: bool, sizes: dict[str, int]) -> None:
@@ -105,26 +107,27 @@ class Packed:
                   for field, value in zip(described, fields)]
         layout = _layout(kind, tuple(value.shape[lanes > 0:] for value in values), lanes, pad,
                          tuple(sizes.items()))
-        self.sizes, shapes, self.offsets, self.length, strides, self.key = layout
+        self.sizes, self.offsets, self.length, self._layout, places, self.key = layout
         self.groups = len(values[0]) // lanes if lanes else 1
         memory = np.zeros(self.groups * self.length + _CACHE_LINE, dtype=np.uint8)
         begin = -memory.ctypes.data % _CACHE_LINE
         self.memory = memory[begin:begin + self.groups * self.length]
-        self.views = {}
-        for field, value, shape, steps in zip(described, values, shapes, strides):
-            offset = self.offsets[field.name]
+        if not lanes:  # what is padded stays zero
+            self.memory.view(float)[places] = np.concatenate([each.ravel() for each in values])
+        for field, value in zip(described, values):
             if lanes:
-                vectors = _vectors(field, lanes)
-                view = np.ndarray((self.groups, *shape, *vectors), value.dtype, self.memory,
-                                  offset, (self.length, *steps))
+                view, vectors = self._array(field.name), _vectors(field, lanes)
                 view[:] = np.moveaxis(value.reshape(
-                    self.groups, lanes, *shape), 1, -1) if vectors else value[:self.groups]
-            else:
-                view = np.ndarray(shape, value.dtype, self.memory, offset)
-                # What is padded stays zero.
-                view[... if value.shape == shape else tuple(map(slice, value.shape))] = value
-            self.views[field.name] = view
+                    self.groups, lanes, *value.shape[1:]), 1, -1) if vectors else (
+                        value[:self.groups])
+            elif field.whole:
+                self._array(field.name)[...] = value
         self.place = (ctypes.c_char * 0).from_buffer(self.memory.data)
+
+    @property
+    def views(self) -> dict[str, np.ndarray]:
+        """The fields as arrays, by name."""
+        return {name: self._array(name) for name in self._layout}
 
     def __reduce__(self):
         lanes = self._lanes
@@ -135,11 +138,16 @@ class Packed:
         return Packed, (self.kind._make(values), lanes, False, self.sizes)
 
     def __getattr__(self, name: str) -> np.ndarray:
-        """Return a field as an array."""
-        try:
-            return self.__dict__['views'][name]
-        except KeyError:
-            raise AttributeError(name) from None
+        """Return a field as an array; one that has the name of another attribute is in `views`."""
+        if name not in self.__dict__.get('_layout', ()):
+            raise AttributeError(name)
+        return self.__dict__.setdefault(name, self._array(name))
+
+    def _array(self, name):
+        kind, shape, strides = self._layout[name]
+        if self._lanes:
+            shape, strides = (self.groups, *shape), (self.length, *strides)
+        return np.ndarray(shape, kind, self.memory, self.offsets[name], strides)
 
 
 def pack(fields: Any, pad: bool = True, **sizes: int) -> Packed:

@@ -364,6 +364,21 @@ def _integrals(spans, xi):
 
 
 @functools.lru_cache(maxsize=64)
+def _values(spans, xi):
+    # The matrix of `Quadrature.interpolate_to`.
+    points, rows, past = np.array(xi), [], np.zeros(len(xi), dtype=bool)
+    for start, stop, count in spans:
+        x = 2.0 * (points - start) / (stop - start) - 1.0
+        here = (x <= 1.0) & ~past if stop < spans[-1][1] else ~past
+        values, _ = legendre_values(np.where(here, x, 0.0), count)
+        rows.append(here[:, np.newaxis] * values @ _rule(count)[2])
+        past |= here
+    matrix = np.hstack(rows)
+    matrix.flags.writeable = False
+    return matrix
+
+
+@functools.lru_cache(maxsize=64)
 def _spanned(ends, count, extra):
     # Spans, nodes, weights and points of a Quadrature; cached as `_integrals` are.
     shares = np.diff(ends) / ends[-1]
@@ -398,12 +413,4 @@ class Quadrature:
 
     def interpolate_to(self, xi: ArrayLike) -> np.ndarray:
         """Return the matrix from nodal values to values at the given points, shape (p, n)."""
-        xi = np.asarray(xi, dtype=float)
-        rows, past = [], np.zeros(len(xi), dtype=bool)
-        for start, stop, count in self._spans:
-            x = 2.0 * (xi - start) / (stop - start) - 1.0
-            here = (x <= 1.0) & ~past if stop < self.points[-1] else ~past
-            values, _ = legendre_values(np.where(here, x, 0.0), count)
-            rows.append(here[:, np.newaxis] * values @ _rule(count)[2])
-            past |= here
-        return np.hstack(rows)
+        return _values(self._spans, tuple(np.asarray(xi, dtype=float).tolist()))

@@ -65,12 +65,13 @@ class Exact(Formulation):
         to_centre = to_points.T @ self.point_mass / self.mass
         about_root = to_points.T @ (self.point_mass[:, np.newaxis] * to_points)
         about_centre = about_root - self.mass * np.outer(to_centre, to_centre)
-        kernel = np.stack([about_centre if axis in self.axes else about_root for axis in range(2)])
+        kernel = np.array([about_root if held else about_centre
+                           for held in self.constrained[:2].tolist()])
 
         # Fields of the coordinates q_i, i = 0 is the shaft (T22), and Xi_ij (T26).
-        rotation = self._at_nodes(1.0, modes.rotation)
-        shear = self._at_nodes(0.0, modes.shear)
-        self._stretch = self._at_nodes(0.0, modes.stretch).T
+        _, rotation, _, shear, stretch, _ = self.at_nodes
+        rotation, shear = self._with_shaft(1.0, rotation), self._with_shaft(0.0, shear)
+        self._stretch = self._with_shaft(0.0, stretch).T
         one = np.ones((len(self.points.xi), 1))
         at_points = np.concatenate([one, self.points.rotation.T], axis=1)
         rotary = at_points.T @ (self.point_inertia[:, np.newaxis] * at_points)
@@ -114,9 +115,8 @@ class Exact(Formulation):
         return points._replace(integral=np.vstack([
             points.integral, np.full_like(points.xi, radius)])) if radius else points
 
-    def _at_nodes(self, of_shaft, field):
+    def _with_shaft(self, of_shaft, values):
         # A field of the shaft and the modes at the nodes, (n_g, 1 + N); no mode bends the hub.
-        values = field(self.quadrature.nodes)
         values = np.concatenate([np.full((len(values), 1), of_shaft), values], axis=1)
         if self.manipulator.off_tip:  # what is beyond the tip turns with it
             tip = np.append(1.0, field(self.points.xi[-1:]))

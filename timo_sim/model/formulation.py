@@ -144,6 +144,7 @@ class Formulation(ABC):
         self.quadrature = Quadrature(manipulator.arm.breaks,
                                      nodes or max(self.node_count(count, bool(static)),
                                                   self.node_count(3 * axial, True)))
+        self.at_nodes = self.modes.fields(self.quadrature.nodes)
         # The points that carry mass, the last of which is the tip.
         masses = Quadrature(manipulator.arm.breaks, self.mass_count(len(self.quadrature.nodes)))
         self.points = self.at(masses.points)
@@ -265,10 +266,10 @@ class Formulation(ABC):
     @cached_property
     def tip_travel(self) -> np.ndarray:
         """Travel of the straight arm's tip per x_c, y_c, theta [m/rad] and q_n, (3 + N,)."""
-        tip, modes = np.array([self.manipulator.arm.length]), self.modes
-        lever = self.manipulator.hub_radius + tip[0]
-        by_modes = np.abs(modes.deflection(tip)) + np.abs(modes.displacement(tip))
-        return np.concatenate([[1.0, 1.0, lever], by_modes[0]])
+        travel = np.abs(self.points.deflection[:, -1])
+        if self.axial:
+            travel += np.abs(self.modes.displacement(self.points.xi[-1:])[0])
+        return np.concatenate([[1.0, 1.0, self.points.lever[-1]], travel])
 
     @cached_property
     def packed(self) -> Packed:
@@ -287,7 +288,7 @@ class Formulation(ABC):
         length = body.hub_radius + body.arm.length + abs(body.end_effector_offset)
         numbers = ([body.base_mass, body.shaft_inertia, length], body.spring, points.deflection,
                    points.rotation, self.point_mass, self.point_inertia, self.modes.omega**2,
-                   self.gravity, self.modes.shear(points.xi))
+                   self.gravity, self.at_nodes[3])
         return np.abs(np.concatenate([np.ravel(each) for each in numbers])).max()
 
     @cached_property
@@ -357,20 +358,27 @@ class Formulation(ABC):
         well. Its integral is therefore corrected in the space of the modes' slopes, of which it
         becomes exact; frequencies of the straight arm are then those of the modes.
         """
-        xi, nodes = np.asarray(xi, dtype=float), self.quadrature.nodes
-        integral, deflection = self.quadrature.integrate_to(xi), self.modes.deflection(xi)
-        # The slopes by a turn of the shaft and by the modes, and their exact integrals.
-        slope = np.concatenate([np.ones((len(nodes), 1)),
-                                self.modes.rotation(nodes) + self.modes.shear(nodes)], axis=1)
+        xi = np.asarray(xi, dtype=float)
+        integral, (deflection, rotation, *_) = self.quadrature.integrate_to(xi), (
+            self.modes.fields(xi))
+        slope, share = self._slopes_at_nodes
+        # The exact integrals of the slopes.
         missing = np.concatenate([xi[:, np.newaxis], deflection], axis=1) - integral @ slope
         missing[xi == 0.0] = 0.0  # the root stays where it is, to the last bit
-        weights = np.sqrt(self.quadrature.weights)
-        share = np.linalg.pinv(weights[:, np.newaxis] * slope) * weights
         integral = (integral + missing @ share).T
         if self.manipulator.off_tip:  # one more node, for what is beyond the tip
             integral = np.vstack([integral, np.zeros_like(xi)])
-        return Points(xi, self.manipulator.hub_radius + xi, integral, deflection.T,
-                      self.modes.rotation(xi).T)
+        return Points(xi, self.manipulator.hub_radius + xi, integral, deflection.T, rotation.T)
+
+    @cached_property
+    def _slopes_at_nodes(self):
+        # Slopes by a turn of the shaft and by the modes, and from nodal values to shares of these.
+        _, rotation, _, shear, *_ = self.at_nodes
+        slope = np.concatenate([np.ones((len(rotation), 1)), rotation + shear], axis=1)
+        weights = np.sqrt(self.quadrature.weights)
+        u, s, rows = np.linalg.svd(weights[:, np.newaxis] * slope, full_matrices=False)
+        inverse = np.divide(1.0, s, where=s > 1e-15 * s[0], out=np.zeros_like(s))
+        return slope, rows.T @ (inverse[:, np.newaxis] * u.T) * weights
 
     def _centres_of(self, points):
         # Centres of mass of the bodies at points: that at the tip may be beyond it.

@@ -38,32 +38,37 @@ class Modes:
     def __len__(self) -> int:
         return len(self.omega)
 
-    def _field(self, name: str, xi: np.ndarray) -> np.ndarray:
+    def fields(self, xi: np.ndarray) -> Sequence[np.ndarray]:
+        """Return all that follow, in this order."""
+        return [field(xi) for field in (self.deflection, self.rotation, self.curvature, self.shear,
+                                        self.stretch, self.displacement)]
+
+    def _field(self, number: int, xi: np.ndarray) -> np.ndarray:
         return np.zeros((len(xi), len(self)))
 
     def deflection(self, xi: np.ndarray) -> np.ndarray:
         """Return W_n(xi), shape (len(xi), N) [1/sqrt(kg)]."""
-        return self._field('deflection', xi)
+        return self._field(0, xi)
 
     def rotation(self, xi: np.ndarray) -> np.ndarray:
         """Return Phi_n(xi), shape (len(xi), N) [1/(m sqrt(kg))]."""
-        return self._field('rotation', xi)
+        return self._field(1, xi)
 
     def curvature(self, xi: np.ndarray) -> np.ndarray:
         """Return Phi_n'(xi), shape (len(xi), N) [1/(m2 sqrt(kg))]."""
-        return self._field('curvature', xi)
+        return self._field(2, xi)
 
     def shear(self, xi: np.ndarray) -> np.ndarray:
         """Return the shear strain (W_n' - Phi_n)(xi), shape (len(xi), N) [1/(m sqrt(kg))]."""
-        return self._field('shear', xi)
+        return self._field(3, xi)
 
     def stretch(self, xi: np.ndarray) -> np.ndarray:
         """Return the axial strain E_n(xi), shape (len(xi), N) [1/(m sqrt(kg))]."""
-        return self._field('stretch', xi)
+        return self._field(4, xi)
 
     def displacement(self, xi: np.ndarray) -> np.ndarray:
         """Return the integral of E_n from the root to xi, shape (len(xi), N) [1/sqrt(kg)]."""
-        return self._field('displacement', xi)
+        return self._field(5, xi)
 
 
 class JoinedModes(Modes):
@@ -73,8 +78,13 @@ class JoinedModes(Modes):
         self._parts = parts
         self.omega = np.concatenate([part.omega for part in parts])
 
-    def _field(self, name, xi):
-        return np.hstack([getattr(part, name)(xi) for part in self._parts])
+    def fields(self, xi: np.ndarray) -> Sequence[np.ndarray]:
+        """Return all fields, see `Modes`."""
+        return [np.concatenate(each, axis=1) for each in zip(*(
+            part.fields(xi) for part in self._parts))]
+
+    def _field(self, number, xi):
+        return self.fields(xi)[number]
 
 
 class GearMode(Modes):
@@ -119,7 +129,6 @@ class UniformModes(Modes):
             end_effector_inertia=manipulator.end_effector_inertia,
             end_effector_offset=manipulator.end_effector_offset,
             root=sum(section.bending_stiffness / each for each in manipulator.arm.root)))
-        self._compute_fields, self._known = fields.of(self._arm), {}
         self.omega, self._shape = np.empty(count), np.empty((count, 4))
         found = lowest_modes(self._arm, self.omega, self._shape, count)
         if found < count:
@@ -127,27 +136,20 @@ class UniformModes(Modes):
                              'numbers are too large or too small together')
         fine = Quadrature(manipulator.arm.breaks, 4 * count + 40)
         mass, inertia = manipulator.inertia(fine)
-        deflection, rotation, _, _ = self._fields(fine.points)
+        deflection, rotation, *_ = self.fields(fine.points)
         modal_mass = (mass @ manipulator.of_masses(deflection, rotation)**2
                       + inertia @ rotation**2)
         self._shape /= np.sqrt(modal_mass)[:, np.newaxis]
-        self._known = {}
 
-    def _field(self, name, xi):
-        known = 'deflection', 'rotation', 'curvature', 'shear'
-        return self._fields(xi)[known.index(name)] if name in known else super()._field(name, xi)
+    def fields(self, xi: np.ndarray) -> Sequence[np.ndarray]:
+        """Return all fields, see `Modes`."""
+        xi, count = np.ascontiguousarray(xi, dtype=float), len(self)
+        values, none = np.empty((len(xi) * count, 4)), np.zeros((len(xi), count))
+        set_fields(self._arm, self.omega, count, self._shape, xi, len(xi), values)
+        return [*values.reshape(len(xi), count, 4).transpose(2, 0, 1), none, none]
 
-    def _fields(self, xi):
-        # A formulation asks for several fields at the same points, which are computed together.
-        xi = np.ascontiguousarray(xi, dtype=float)
-        found = self._known.get(key := xi.tobytes())
-        if found is None:
-            values = np.empty((len(xi) * len(self), 4))
-            self._compute_fields(self.omega, len(self), self._shape, xi, len(xi), values)
-            values.flags.writeable = False
-            found = values.reshape(len(xi), len(self), 4).transpose(2, 0, 1)
-            self._known = {**dict([*self._known.items()][-1:]), key: found}
-        return found
+    def _field(self, number, xi):
+        return self.fields(xi)[number]
 
 
 # Waves of a uniform arm, whose sums are its mode shapes: boundary conditions and fields, compiled.
@@ -378,7 +380,7 @@ def lowest_modes(arm, omega, shape, count):
 
 @entry_point(arm=Constants(), omega=Array((None,)), count=int, shape=Array((None, 4)),
              xi=Array((None,)), points=int, out=Array((None, 4)))
-def fields(arm, omega, count, shape, xi, points, out):
+def set_fields(arm, omega, count, shape, xi, points, out):
     """
     Write the fields of `count` modes at points [m], as rows of `out`, those of a point together.
 
@@ -633,12 +635,12 @@ def axial_modes(manipulator: Manipulator, count: int, constraints: Constraints) 
     scale = 1.0 / np.sqrt(strains.weights * section.axial_stiffness)
     root_mass = np.sqrt(mass)
     matrix = root_mass[:, np.newaxis] * strains.integrate_to(fine.points) * scale
-    basis = np.empty((len(scale), 0))
     loads = [matrix.T @ (root_mass * (lever - centre)), matrix.T @ root_mass,
              strains.integrate_to(breaks[-1:])[0] * scale]
-    for number in range(count):
+    basis = (loads[0] / math.sqrt(loads[0] @ loads[0]))[:, np.newaxis]
+    for number in range(1, count):
+        loads.append(matrix.T @ (matrix @ basis[:, -1]))
         basis = np.linalg.qr(np.column_stack([basis, loads[number]]))[0]
-        loads.append(matrix.T @ (matrix @ basis[:, number]))
     _, singular, rows = np.linalg.svd(matrix @ basis, full_matrices=False)
     stretch = scale[:, np.newaxis] * (basis @ (rows.T / singular))
     stretch *= np.sign(stretch[0])

@@ -195,9 +195,9 @@ class Newton(Formulation):
     def _tension(self):
         # Geometric stiffness of the first mode per axial force on the tip and on the arm, per
         # alpha, and per squared shaft speed.
-        xi = self.quadrature.nodes
-        slope = self.modes.rotation(xi)[:, 0] + self.modes.shear(xi)[:, 0]
-        slope = np.append(slope, self.points.rotation[0, -1])[:len(self.points.integral)]
+        _, rotation, _, shear, *_ = self.at_nodes
+        slope = np.append(rotation[:, 0] + shear[:, 0], self.points.rotation[0, -1])[
+            :len(self.points.integral)]
         inboard = self.centres.integral.T @ slope**2
         mass, pull = self.point_mass, self.points.integral[:, -1] @ slope**2
         push = self.push_point.integral[:, 0] @ slope**2 if self.push_point else 0.0

@@ -227,8 +227,9 @@ def _say(text):
 
 
 def _thin(run, every):
-    return replace(run, t=run.t[::every], values=run.values[::every],
-                   friction_heat=run.friction_heat[::every])
+    return run if every == 1 else replace(
+        run, t=run.t[::every], values=run.values[::every],
+        friction_heat=run.friction_heat[::every])
 
 
 def enough_samples(steps: int) -> int:

@@ -198,7 +198,14 @@ class _FastLoader(getattr(yaml, 'CSafeLoader', yaml.SafeLoader)):  # type: ignor
 
 # What libyaml reads otherwise than PyYAML, or would overflow the stack: deep nesting, of blocks by
 # long indentation or of more than _MOST_FLOWS lists and mappings in brackets.
-_ODD, _MOST_FLOWS = re.compile('[\0\t&?\ufeff]|[>|]#|^[ :-]{100}', re.MULTILINE), 200
+_ODD, _LONG, _MOST_FLOWS = [*'\0\t&?\ufeff', '>#', '|#'], 100, 200
+
+
+def _is_odd(text):
+    return (any(each in text for each in _ODD)
+            or any(len(line) >= _LONG and not line[:_LONG].strip(' :-')
+                   for line in text.splitlines())
+            or text.count('[') + text.count('{') > _MOST_FLOWS)
 
 
 def read_yaml(path: Path | str) -> Any:
@@ -213,7 +220,7 @@ def read_yaml(path: Path | str) -> Any:
 def parse_yaml(content: bytes | str, source: Path | str) -> Any:
     """Return the content of YAML text or bytes, or raise ParameterError that names the source."""
     text = content if isinstance(content, str) else content.decode('utf-8', 'replace')
-    if not _ODD.search(text) and text.count('[') + text.count('{') <= _MOST_FLOWS:
+    if not _is_odd(text):
         with suppress(Exception):  # the other loader says what is wrong
             return yaml.load(content, _FastLoader)
     try:

@@ -12,6 +12,7 @@ from bisect import bisect_left
 from collections.abc import Mapping, Sequence
 from dataclasses import dataclass, replace
 from functools import lru_cache
+import math
 from typing import Any
 
 import numpy as np
@@ -136,6 +137,9 @@ class Load:
         def moved(term):
             return term if isinstance(term, Harmonic) or term is None else replace(
                 term, time=tuple(on_boundaries(term.time, step).tolist()))
+        if self.drive is None and all(isinstance(term, Harmonic) for terms in self.terms.values()
+                                      for term in terms):
+            return self
         return Load({channel: tuple(map(moved, terms)) for channel, terms in self.terms.items()},
                     moved(self.drive))
 
@@ -176,7 +180,7 @@ class Load:
             for column, term in every:
                 if isinstance(term, Harmonic):
                     harmonics.append((column, term.amplitude, term.frequency,
-                                      np.fmod(term.phase, 2.0 * np.pi)))
+                                      math.fmod(term.phase, 2.0 * math.pi)))
                 else:
                     begin = sum(map(len, pieces))
                     pieces.append(term.rows(step))
@@ -294,6 +298,8 @@ def _carrier_drive(values):
 def payloads_of(values: Mapping[str, Any]) -> tuple[tuple[int, float, float, float], ...]:
     """Return steps at which the load at the tip changes, with mass, inertia, offset from then."""
     given = {name: values[f'payload.{name}'] for name in ('time', 'mass', 'inertia', 'offset')}
+    if not any(given.values()):
+        return ()
     if not given['offset']:
         if given['time'] and values['end_effector.offset']:
             raise ParameterError('payload.offset must be given with end_effector.offset = '

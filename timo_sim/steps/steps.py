@@ -3,6 +3,7 @@
 
 """Equal time steps of one run: what calls the compiled step, and knows its linear parts."""
 
+import functools
 from typing import NamedTuple
 
 import numpy as np
@@ -33,6 +34,13 @@ class Samples(NamedTuple):
     heat: np.ndarray     # energy that dry friction has taken since the initial motion [J], (n,)
 
 
+@functools.cache
+def _frictionless(gears):
+    # Of these constants no code is left.
+    return pack(Bristles(0.0, np.zeros(0), np.zeros((0, 2)), np.zeros(0), np.zeros((0, 2)), 0.0,
+                         np.zeros(gears), 0))
+
+
 class Steps:
     """
     Equal steps of a model, of a length in seconds, with the dry friction of `Scene.bristles`.
@@ -45,9 +53,9 @@ class Steps:
                  bristles: np.ndarray = np.zeros((BRISTLES, SLOW + 1))) -> None:
         self.model, self.step = model, step
         self.memory = np.zeros(MEMORY)
-        self.bristles = pack(Bristles._make(
-            each[0] for each in bristles_of([model], step, bristles[np.newaxis])))
         self._friction = bristles if bristles[:, REACH].any() else None
+        self.bristles = _frictionless(len(model.gear_row)) if self._friction is None else pack(
+            Bristles._make(each[0] for each in bristles_of([model], step, bristles[np.newaxis])))
         self._swing = swing_of(model, bristles)
         # The key is the number of a sector, None without; all steps of this length share parts.
         self._parts, self._advance = model.linear_parts(step), dict[int | None, Call]()
