@@ -64,7 +64,7 @@ class Exact(Formulation):
         to_points = self.centres.integral.T
         to_centre = to_points.T @ self.point_mass / self.mass
         about_root = to_points.T @ (self.point_mass[:, np.newaxis] * to_points)
-        about_centre = about_root - self.mass * np.outer(to_centre, to_centre)
+        about_centre = about_root - self.mass * (to_centre[:, np.newaxis] * to_centre)
         kernel = np.array([about_root if held else about_centre
                            for held in self.constrained[:2].tolist()])
 
@@ -78,8 +78,8 @@ class Exact(Formulation):
         rotary[0, 0] += self.manipulator.shaft_inertia
         if self.gear:  # (T60)
             rotary += self.rotor_matrix[2:, 2:]
-        damping = np.append(self.manipulator.shaft_friction, self.modal_damping)
-        rotary[1:, 1:] += np.diag(self.slower**2 - 1.0)  # (T67)
+        damping = np.concatenate([[self.manipulator.shaft_friction], self.modal_damping])
+        rotary.flat[len(rotary) + 1::len(rotary) + 1] += self.slower**2 - 1.0  # (T67)
 
         one_axis = len(self.axes) == 1
         # Number of last coordinates whose rates, not momenta, are in the state.
@@ -119,7 +119,7 @@ class Exact(Formulation):
         # A field of the shaft and the modes at the nodes, (n_g, 1 + N); no mode bends the hub.
         values = np.concatenate([np.full((len(values), 1), of_shaft), values], axis=1)
         if self.manipulator.off_tip:  # what is beyond the tip turns with it
-            tip = np.append(1.0, field(self.points.xi[-1:]))
+            tip = np.append(1.0, self.points.rotation[:, -1])
             values = np.concatenate([values, of_shaft * tip[np.newaxis]])
         if self.manipulator.hub_radius:
             values = np.concatenate([values, [[of_shaft] + len(self.modes) * [0.0]]])
@@ -130,8 +130,10 @@ class Exact(Formulation):
         # and Phi + Gamma across it. Without an angle both axes have the mean of the kernels.
         slope, stretch, kernel = self._slope.T, self._stretch, self._kernel
         if angle is None:
-            mean = kernel.mean(axis=0)
-            matrix = tables.rotary + slope @ mean @ slope.T + stretch @ mean @ stretch.T
+            mean = 0.5 * (kernel[0] + kernel[1])
+            matrix = tables.rotary + slope @ mean @ slope.T
+            if self.axial:
+                matrix += stretch @ mean @ stretch.T
         else:
             cosine, sine = np.cos(angle), np.sin(angle)
             x, y = cosine * stretch - sine * slope, sine * stretch + cosine * slope

@@ -19,12 +19,14 @@ from timo_sim.steps.bristles import fastest, mobilities, MORE, REACH, SLOW, spri
 _MAX_NUMBER = 1e50  # products of six numbers, as in an energy, do not overflow
 
 
+_OF_GEAR = [name for name in PARAMETERS if name.startswith(('motor.gear.', 'motor.rotor.'))]
+
+
 def check_gear(values: Mapping[str, Any]) -> None:
     """Raise ParameterError if gear, rotor and friction of the motor do not fit together."""
     elastic = values['motor.gear.stiffness']
-    for name, value in values.items():
-        if name.startswith(('motor.gear.', 'motor.rotor.')) and not elastic and (
-                value != PARAMETERS[name].default):
+    for name in () if elastic else _OF_GEAR:
+        if values[name] != PARAMETERS[name].default:
             raise ParameterError(f'{name} needs motor.gear.stiffness > 0, got {elastic:g}')
     for body in BODIES:
         speed, reach, rest = (f'{body}.coulomb_{name}' for name in (
@@ -144,12 +146,13 @@ _CONTACT = 1.0
 
 def check_slope(scene: Any) -> None:
     """Raise StepError if steps are too long for friction over a speed or way, or for backlash."""
-    gear, bristles = scene.manipulator.gear, scene.bristles
-    # By joint as bristles: carrier x, y, rotor or shaft, shaft of an elastic gear.
-    limit, speed, asymmetry = np.array(scene.manipulator.coulomb)[
-        [0, 0, 2 if gear else 1, 1]].T * [[1.0, 1.0, 1.0, bool(gear)], 4 * [1.0], 4 * [1.0]]
-    if not limit.any() and not bristles[:, REACH].any() and not (gear and gear.backlash):
+    gear, bristles, smooth = scene.manipulator.gear, scene.bristles, scene.manipulator.coulomb
+    if not (any(limit for limit, *_ in smooth) or bristles[:, REACH].any()
+            or gear and gear.backlash):
         return
+    # By joint as bristles: carrier x, y, rotor or shaft, shaft of an elastic gear.
+    limit, speed, asymmetry = np.array(smooth)[
+        [0, 0, 2 if gear else 1, 1]].T * [[1.0, 1.0, 1.0, bool(gear)], 4 * [1.0], 4 * [1.0]]
     mobile = mobilities(scene.build(), scene.initial_motion())
     # The steepest slope of t (1 + a t) is at most 1 + 0.52 a times the one at rest, and that of
     # 1 / (1 + x^2) is 0.65.

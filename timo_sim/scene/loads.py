@@ -287,7 +287,9 @@ def _carrier_drive(values):
             f'{prefix}.harmonic.{axis}': shaken, f'{prefix}.harmonic.frequency': frequency,
             f'{prefix}.harmonic.phase': phase or (0.0,) * len(frequency)}) if shaken else ()
         for order, name in enumerate(('place', 'speed', 'acceleration')):
-            parts: list[Any] = [Drive(points[0], points[1], points[2], points[3], order)] if points else []
+            parts: list[Any] = []
+            if points:
+                parts.append(Drive(*points[:4], order))
             parts += [Harmonic(size * (2.0 * np.pi * each)**order, each,
                                late + 0.5 * np.pi * order) for size, each, late in zip(*terms)]
             if parts:
