@@ -289,7 +289,7 @@ def _carrier_drive(values):
         for order, name in enumerate(('place', 'speed', 'acceleration')):
             parts: list[Any] = []
             if points:
-                parts.append(Drive(*points[:4], order))
+                parts.append(Drive(points[0], points[1], points[2], points[3], order))
             parts += [Harmonic(size * (2.0 * np.pi * each)**order, each,
                                late + 0.5 * np.pi * order) for size, each, late in zip(*terms)]
             if parts:
