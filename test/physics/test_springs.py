@@ -44,9 +44,8 @@ def test_frequencies_of_a_beam_on_a_clamp_that_gives(stiffness):
 
 @pytest.mark.filterwarnings('ignore:is this meant')
 @pytest.mark.parametrize('name, values', [
-    ('exact', {'carrier.held': 'both', 'gravity': [1.0, -9.0], 'hub.radius': 0.1}),
     ('exact', {'model.axial_modes': 1, 'model.static_modes': 'both'}),
-    ('newton', {'carrier.held': 'y', 'gravity': [1.0, -9.0]})], ids=str)
+    ('newton', {'carrier.held': 'y', 'gravity': [1.0, -9.0], 'hub.radius': 0.1})], ids=str)
 def test_a_clamp_that_gives_is_a_short_soft_span(name, values):
     """Tip and energy are those of an arm that bends there within 0.1 mm."""
     short, stiffness, section = 1e-4, 60.0, {'young_modulus': 70e9, 'shear_modulus': 26e9,
@@ -97,11 +96,10 @@ def test_a_rigid_arm_on_a_spring_is_an_oscillator(name):
 
 
 @pytest.mark.parametrize('values', [
-    {}, {'carrier.held': 'x'}, {'model.axial_modes': 1, 'carrier.held': 'y'},
-    {'model.formulation': 'newton', 'carrier.held': 'x'}, {'model.formulation': 'newton'},
+    {'carrier.held': 'x'}, {'model.formulation': 'newton', 'carrier.held': 'x'},
     {'motor.gear.stiffness': 300.0, 'motor.rotor.inertia': 0.02}], ids=str)
 def test_a_spring_takes_and_gives_back_work(values):
-    """In all constraints, with an elastic gear between motor and shaft, and in `newton`."""
+    """With one axis held, with an elastic gear between motor and shaft, and in `newton`."""
     run = timo_sim.simulate({**ARM, **TORQUE, **SPRING, 'integrator.step': 2e-4, **values},
                             0.5, 5, estimate=False)
     energy = run.energy()
@@ -111,12 +109,12 @@ def test_a_spring_takes_and_gives_back_work(values):
 
 @pytest.mark.parametrize('name', ['exact', 'newton'])
 def test_a_drive_works_against_the_spring(name):
-    values = {**ARM, 'carrier.held': 'both', 'motor.shaft': 'driven', 'motor.drive.time': [0.0],
-              'motor.drive.angle': [0.5], 'motor.drive.speed': [0.0], 'arm.damping_ratio': 0.05,
-              'motor.drive.acceleration': [0.0], 'model.formulation': name}
-    with_spring, without = (timo_sim.simulate({**values, **each}, 0.02, estimate=False)
-                            for each in (SPRING, {}))
-    assert with_spring.effort[:, 2] - without.effort[:, 2] == pytest.approx(20.0 * 0.4, rel=1e-9)
+    run = timo_sim.simulate({
+        **ARM, **SPRING, 'carrier.held': 'both', 'motor.shaft': 'driven', 'model.modes': 1,
+        'model.static_modes': 'none', 'motor.drive.time': [0.0], 'motor.drive.angle': [0.5],
+        'motor.drive.speed': [0.0], 'motor.drive.acceleration': [0.0],
+        'model.formulation': name}, 0.01, estimate=False)
+    assert run.effort[:, 2] == pytest.approx(20.0 * 0.4, rel=1e-9)
 
 
 def test_a_free_shaft_on_a_spring_goes_to_its_rest():
