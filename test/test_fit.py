@@ -27,7 +27,7 @@ ARM = {'carrier.held': 'both', 'arm.length': 0.42, 'arm.section.height': 0.001,
 MOTOR = {'motor.dc': {'resistance': 2.6, 'torque_constant': 0.0077, 'gear_ratio': 70.0}}
 T = 0.002 * np.arange(1501)
 VOLTAGE = np.sign(np.sin(2.0 * np.pi * 0.7 * T)) * 2.0 + np.sin(2.0 * np.pi * 3.1 * T)
-SHAFT = {'shaft': (T, T)}
+SHAFT = {'shaft': (T, T**2)}  # it begins at rest
 
 
 def predicted(scene, inputs, outputs, values=None, t=T):
@@ -202,16 +202,46 @@ def test_sensors_are_fitted():
     assert found.values == pytest.approx(values, rel=1e-3)
 
 
-def test_a_fit_begins_with_the_guesses_within_its_bounds():
+def test_a_fit_begins_with_the_guesses_that_are_given():
     values = {'arm.young_modulus': 2e11, 'voltage.gain': 4.0, 'voltage.delay': 0.0073}
-    bounds = {'arm.young_modulus': (1e10, 1.7e11, 1e12), 'voltage.gain': (0.1, 3.0, 10.0),
-              'voltage.delay': (0.0, 0.004, 0.1)}
+    guesses = {'arm.young_modulus': 1.7e11, 'voltage.gain': 3.0, 'voltage.delay': 0.004}
     record = predicted({**ARM, **MOTOR}, {'voltage': (T, VOLTAGE)}, ['shaft'], values)
-    found = timo_sim.fit({**ARM, **MOTOR, 'arm.young_modulus': 9e10}, record, [*values], bounds,
-                         quick=True)
+    found = timo_sim.fit({**ARM, **MOTOR, 'arm.young_modulus': 9e10}, record, [
+        f'{name}={guess}' for name, guess in guesses.items()], {'voltage.delay': (0.0, 0.1)},
+        quick=True)
     assert found.values == pytest.approx(values, rel=1e-4) and found.starts == 1
-    assert {name: each.start for name, each in found.estimates.items()} == pytest.approx(
-        {name: guess for name, (_, guess, _) in bounds.items()})
+    assert {name: each.start for name, each in found.estimates.items()} == guesses
+
+
+def test_guesses_with_widths_give_the_posterior_in_closed_form():
+    """Of a shaft that rests: its angle a and the bias b of its sensor show as a + b alone."""
+    noise, n, (a, wide_a), (b, wide_b) = 0.01, 100, (0.1, 0.05), (0.0, 0.2)
+    angle = 0.3 + noise * np.random.default_rng(2).standard_normal(n)
+    record = timo_sim.Record.of({}, {'shaft': (T[:n], angle)}, {'shaft': noise})
+    found = timo_sim.fit(ARM, record, [f'initial.shaft={a}~{wide_a}', f'shaft.bias~{wide_b}'])
+    whole = wide_a**2 + wide_b**2 + noise**2 / n
+    for name, guess, wide in ('initial.shaft', a, wide_a), ('shaft.bias', b, wide_b):
+        each, share = found.estimates[name], wide**2 / whole
+        assert each.value == pytest.approx(guess + share * (angle.mean() - a - b), abs=1e-6)
+        assert each.deviation == pytest.approx(wide * np.sqrt(1.0 - share), rel=1e-4)
+        assert each.high - each.low == pytest.approx(2.0 * 1.959964 * each.deviation, rel=1e-6)
+    assert list(found.values) == ['shaft.bias'] and 'from your guess' in found.report()
+    drawn = found.sample(1000).values
+    assert np.std(drawn['initial.shaft'] + drawn['shaft.bias']) == pytest.approx(1e-3, rel=0.1)
+
+
+def test_what_the_field_knows_is_the_usual_width():
+    scene = timo_sim.load_scene({**ARM, **MOTOR, 'arm.material': 'steel'})
+    record = timo_sim.Record.of({'voltage': (T, VOLTAGE)}, {'shaft': (T, T)})
+    names = ['arm.young_modulus', 'arm.length', 'shaft.gain', 'shaft.gain=1.1',
+             'motor.viscous_friction', 'shaft.bias', 'shaft.delay', 'motor.shaft_inertia',
+             'arm.length~5%', 'motor.viscous_friction~x2', 'arm.density~inf']
+    found = [Problem(scene, record, [name], {}, T[-1]).free[0] for name in names]
+    assert [each.width * (1.0 if each.log else each.scale) for each in found] == pytest.approx([
+        0.05, 0.01, np.log(3.0), 0.05, np.log(3.0), 0.05 * T[-1], np.inf, np.log(10.0), 0.05,
+        np.log(2.0), np.inf])
+    usual, own = Problem(scene, record, ['~inf', 'arm.length', 'arm.density~2%'], {}, T[-1]).free
+    assert (usual.width, own.width) == (np.inf, 0.02)
 
 
 def test_a_quick_fit_is_the_same_without_profiles_and_suspects():
@@ -231,7 +261,7 @@ def test_a_product_that_alone_matters_is_named_and_not_returned():
     scene = {**ARM, **MOTOR}
     record = noisy(predicted(scene, {'voltage': (T, VOLTAGE)}, ['shaft']), {'shaft': 1e-3})
     with pytest.warns(timo_sim.ModelWarning, match='cannot be identified'):
-        found = timo_sim.fit(scene, record, names)
+        found = timo_sim.fit(scene, record, ['~inf', *names])
     assert list(found.values) == ['motor.shaft_inertia']
     assert all(np.isnan(found.estimates[name].value) for name in names[:2])
     parts, = found.unidentified
@@ -521,6 +551,7 @@ BAD_ARGUMENTS = [
     (dict(free=['gravity[2]']), 'gravity has 2 elements'),
     (dict(free=['arm.length', 'arm.length']), 'arm.length is free twice'),
     (dict(free=[]), 'at least one free parameter'),
+    (dict(free=['~inf']), 'at least one free parameter'),
     (dict(free='arm.length'), 'free must be a list of names'),
     (dict(free=[5]), r'free must be a list of names, got .5.'),
     (dict(free=['motor.coulomb_friction']), 'motor.coulomb_friction must be > 0 N m in the'),
@@ -528,11 +559,15 @@ BAD_ARGUMENTS = [
     (dict(free=['arm.length'], bounds={'arm.length': (1.0, 2.0)}),
      'arm.length = 0.42 must be within its bounds, 1 to 2'),
     (dict(free=['arm.length'], bounds={'arm.length': (2.0, 1.0)}), 'two ascending numbers'),
-    (dict(free=['arm.length'], bounds={'arm.length': (0.1, 2.0, 1.0)}),
+    (dict(free=['arm.length=2'], bounds={'arm.length': (0.1, 1.0)}),
      'arm.length = 2 must be within its bounds, 0.1 to 1'),
-    (dict(free=['arm.length'], bounds={'arm.length': (0.1, 0.2, 0.3, 1.0)}), 'or three with a'),
-    (dict(free=['arm.length'], bounds={'arm.length': 0.1}), 'or three with a'),
-    (dict(free=['arm.length'], bounds={'arm.length': (0.0, 0.0, 1.0)}), 'must be > 0 m in the'),
+    (dict(free=['arm.length'], bounds={'arm.length': (0.1, 0.2, 0.3)}), 'two ascending numbers'),
+    (dict(free=['arm.length'], bounds={'arm.length': 0.1}), 'two ascending numbers'),
+    (dict(free=['arm.length=0']), 'arm.length must be > 0 m in the'),
+    (dict(free=['arm.length=l']), 'arm.length must be NAME, NAME=VALUE.*, got l'),
+    (dict(free=['arm.length~-5%']), 'arm.length must be .* > 0, got -5%'),
+    (dict(free=['initial.shaft~x3']), 'initial.shaft must be .*a factor.*, got x3'),
+    (dict(free=['initial=0.3']), 'initial is many numbers, and takes no value, got 0.3'),
     (dict(free=['arm.length'], bounds={'arm.section.width': (1.0, 2.0)}), 'need it to be free'),
     (dict(free=['arm.length'], hold_out=1.0), 'hold_out must be .*<= 0.95, got 1'),
     (dict(free=['arm.length'], loss='squared'), 'loss must be one of linear, soft_l1')
@@ -578,6 +613,6 @@ UNFIT = [
 
 def test_records_that_cannot_be_fitted():
     for inputs, t, message in UNFIT:
-        record = timo_sim.Record.of(inputs, {'shaft': (t, T)})
+        record = timo_sim.Record.of(inputs, {'shaft': (t, T**2)})
         with pytest.raises(timo_sim.ParameterError, match=message):
             timo_sim.fit(ARM, record, ['arm.length'])

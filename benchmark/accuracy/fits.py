@@ -83,8 +83,7 @@ RELATIVE_NOISE = 0.01   # of the standard deviation of a quantity
 EFFECTS = {
     'nothing': '', 'friction': 'dry friction', 'input delay': 'delay of voltage',
     'output delay': 'delay of tip_transverse', 'offset': 'offset of tip_transverse',
-    'first angle': 'another angle', 'input sign': 'sign of voltage',
-    'output sign': 'sign of tip_transverse', 'limit': 'limit of the voltage',
+    'limit': 'limit of the voltage',
     'gravity': 'gravity', 'mode': 'one more mode', 'resonance': 'resonance',
     'direction': 'depends on the direction', 'near rest': 'near rest',
     'presliding': 'presliding', 'backlash': 'backlash', 'gear': 'elastic gear'}
@@ -231,7 +230,7 @@ def unidentifiable(duration):
         if 'shaft.delay' not in free:
             free = [*free, DELAY]
         fitted = quiet(timo_sim.fit, scene, timo_sim.Record.of(
-            inputs, {name: whole.outputs[name] for name in shown}), free)
+            inputs, {name: whole.outputs[name] for name in shown}), ['~inf', *free])
         rows.append({'input': kind, 'outputs': shown, 'free': free, 'expected': expected,
                      'named': fitted.unidentified, 'values': fitted.values,
                      'without_number': [name for name, each in fitted.estimates.items()

@@ -75,11 +75,11 @@ class Link:
         # The arm behind its shaft, then the motor that turns it.
         angle = timo_sim.read_record(RECORD, FILES / 'merced_angle.yaml')
         self.arm = timo_sim.fit(scene, angle, [
-            'arm.young_modulus', 'arm.damping_ratio', 'root_strain.gain'], hold_out=0.5)
+            '~inf', 'arm.young_modulus', 'arm.damping_ratio', 'root_strain.gain'], hold_out=0.5)
         known = scene.vary({name: self.arm.scene.values[name]
                             for name in ('arm.young_modulus', 'arm.damping_ratio')})
         self.motor = timo_sim.fit(known, record, [
-            'motor.shaft_inertia', 'motor.dc.torque_constant', 'motor.viscous_friction',
+            '~inf', 'motor.shaft_inertia', 'motor.dc.torque_constant', 'motor.viscous_friction',
             'motor.coulomb_friction', 'motor.coulomb_speed', 'voltage.bias', 'root_strain.gain'],
             hold_out=0.5)
         self.scene = self.motor.scene.vary({'sensor.encoder.resolution': ENCODER})

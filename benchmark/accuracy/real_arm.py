@@ -176,12 +176,8 @@ def read(record, columns):
     return timo_sim.read_record(path, FILES / columns)
 
 
-def bounds_of(names, scene, before=None):
-    """
-    Return bounds by name: delays are not early, and a first guess is right to FACTOR.
-
-    With a Fit before, they are (low, guess, high), where that did not end at a bound.
-    """
+def bounds_of(names, scene):
+    """Return bounds by name: delays are not early, and a first guess is right to FACTOR."""
     found = {name: DELAYS for name in names if name.endswith('.delay')}
     for name in names:
         if name.endswith('.coulomb_static'):
@@ -191,26 +187,29 @@ def bounds_of(names, scene, before=None):
         guess = guess[0] if isinstance(guess, tuple) else guess
         if guess > 0.0 and not name.startswith('initial.'):
             found[name] = guess / FACTOR, guess * FACTOR
-    if before:
-        posterior = before.posterior
-        for name, value in posterior.objective.values(posterior.x, 0).items():
-            if name in names and not before.estimates[name].bound:
-                low, high = found.get(name, (-np.inf, np.inf))
-                found[name] = low, float(f'{value:.5g}'), high  # as the page shows it
     return found
 
 
+def guesses_of(names, before):
+    """Return what is free, without widths: from where a Fit before ended, but for its bounds."""
+    posterior = before and before.posterior
+    values = posterior.objective.values(posterior.x, 0) if before else {}
+    return ['~inf', *(  # as the page shows it
+        f'{name}={values[name]:.5g}' if name in values and not before.estimates[name].bound
+        else name for name in names)]
+
+
 def fitted(case):
-    """Return the Fit of a case, its model's name and bounds, and by model R^2 of what chose it."""
+    """Return the Fit of a case, its model's name and what was free, and R^2 that chose it."""
     (record, _, until), *_ = parts_of(case)
     scene, trials, halves = timo_sim.load_scene(FILES / case.scene), {}, {}
 
     def fit(name, part, hold_out, others=(), before=None):
         values, free = models_of(case, scene, part, (1.0 - hold_out) * part.duration)[name]
         start = scene.vary(values)
-        bounds = bounds_of(free, start, before)
-        return timo_sim.fit(start, part, free, bounds, hold_out, hold_out_records=others,
-                            quick=part is not record), bounds
+        guesses = guesses_of(free, before)
+        return timo_sim.fit(start, part, guesses, bounds_of(free, start), hold_out,
+                            hold_out_records=others, quick=part is not record), guesses
 
     models = [*models_of(case, scene, record, until)]
     if len(models) > 1:
@@ -221,8 +220,8 @@ def fitted(case):
                 for output, each in halves[name].errors.items()}
     chosen = max(models, key=lambda name: sum(trials.get(name, {}).values()))
     others = [read(*case.other)] if case.other else []
-    found, bounds = fit(chosen, record, 0.0 if others else HOLD_OUT, others, halves.get(chosen))
-    return found, chosen, bounds, trials
+    found, free = fit(chosen, record, 0.0 if others else HOLD_OUT, others, halves.get(chosen))
+    return found, chosen, free, trials
 
 
 def parts_of(case):
@@ -451,13 +450,13 @@ def missing(quick):
         f'the first quarter and at {last:.2f} Hz in the last.'])
 
 
-def command_of(case, parts, chosen, bounds):
-    """Return the command line of a fit with the chosen model and its bounds."""
+def command_of(case, parts, chosen, free):
+    """Return the command line of a fit with the chosen model and what is free."""
     (record, _, until), *_ = parts
     scene = timo_sim.load_scene(FILES / case.scene)
     values, names = models_of(case, scene, record, until)[chosen]
-    shown = ' --bounds '.join(f'{name}=' + ':'.join(
-        '' if np.isinf(each) else f'{each:.5g}' for each in ends) for name, ends in bounds.items())
+    shown = ' --bounds '.join(f'{name}={low:.5g}:{high:.5g}' for name, (low, high) in bounds_of(
+        names, scene.vary(values)).items())
     changes = ' '.join(['--set', *(f'{name}={value:.6g}' for name, value in values.items())])
     held = f"--hold-out-record '{case.other[0]}'" if case.other else f'--hold-out {HOLD_OUT:g}'
     columns = ' --mapping '.join(f'example/real_arm/{each}'
@@ -466,14 +465,14 @@ def command_of(case, parts, chosen, bounds):
         f"timo_sim fit '{case.record}' {held}",
         f'--scene example/real_arm/{case.scene} --mapping {columns}',
         *wrap(f'--bounds {shown}', 112), *(wrap(changes, 112) if values else []),
-        *(f'--free {",".join(line.split())}' for line in wrap(' '.join(names), 105)),
+        *(f'--free {",".join(line.split())}' for line in wrap(' '.join(free), 105)),
         '-o fitted.yaml --png fit.png "$@"'])
 
 
 def section(case):
     """Fit a case, draw it, write command and report, and return what the page says of it."""
     parts = parts_of(case)
-    found, chosen, bounds, trials = fitted(case)
+    found, chosen, free, trials = fitted(case)
     held = (found.more or [found])[-1]
     own = {name: (each.r_squared, held.errors[name].hold_out_r_squared)
            for name, each in found.errors.items()}
@@ -485,7 +484,7 @@ def section(case):
                       + '\n', encoding='utf-8')
     held.plot().savefig(ROOT / 'doc' / 'real_arm' / f'{case.name}.png', dpi=70)
     script = FILES / f'{case.name}.sh'
-    script.write_text(f'{HEAD}{command_of(case, parts, chosen, bounds)}\n', encoding='utf-8')
+    script.write_text(f'{HEAD}{command_of(case, parts, chosen, free)}\n', encoding='utf-8')
     script.chmod(0o755)
     rows = [[model, *(in_words(each) for score in scored.values() for each in score)]
             for model, scored in by_model.items() if scored]

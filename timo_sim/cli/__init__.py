@@ -484,11 +484,13 @@ def sweep(file: str, output: str | None, workers: int | None, scheduler: str | N
 @click.option('--scene', type=click.Path(), help=(
     'Parameter file or name of an installed scene, whose values are first guesses; by default '
     'that of RECORD, if it is a log of the node.'))
-@click.option('--free', multiple=True, required=True, metavar='NAME,NAME', help=(
+@click.option('--free', multiple=True, metavar='NAME,NAME', help=(
     'Parameters to be fitted: of the scene; QUANTITY.gain, .bias, .delay or .lag of an input or '
-    'output; or initial for the whole initial state. It may be given again for further ones.'))
-@click.option('--bounds', multiple=True, metavar='NAME=LOW:HIGH', help=(
-    'Bounds of one of them, or LOW:GUESS:HIGH with the value to begin with; several may follow.'))
+    'output; or initial for the whole initial state. NAME=VALUE~WIDTH gives a first guess and how '
+    'well it is known: 5%, x3 (a factor), a number, or inf; a ~WIDTH alone is that of all that '
+    'have none. It may be given again for further ones.'))
+@click.option('--bounds', multiple=True, metavar='NAME=LOW:HIGH',
+              help='Bounds of one of them; several may follow.')
 @_settings
 @click.option('--mapping', type=_FILE, metavar='FILE', multiple=True, help=(
     'YAML file that says which column of a table is which quantity; one for all records, or one '
@@ -504,6 +506,9 @@ def sweep(file: str, output: str | None, workers: int | None, scheduler: str | N
     'End with the search: no intervals by profile and no suspects, which can take longer.'))
 @click.option('--time', type=float, metavar='SECONDS', help=(
     'Most that the fit may take: the search then ends with the best so far.'))
+@click.option('--auto', is_flag=True, help=(
+    'Choose the effects, too: each is tried in turn, from the plain arm or from what --free '
+    'names, and kept if it predicts better what is held out of the fitted part for that.'))
 @click.option('--loss', default='linear', show_default=True,
               help='Or soft_l1, huber or cauchy, with which outliers weigh less.')
 @click.option('--output', '-o', type=_FILE, metavar='FITTED.yaml',
@@ -513,15 +518,16 @@ def sweep(file: str, output: str | None, workers: int | None, scheduler: str | N
 def fit(records: tuple[str, ...], scene: str | None, free: tuple[str, ...],
         bounds: tuple[str, ...], settings: tuple[str, ...], mapping: tuple[str, ...],
         outputs: str | None, hold_out: float, hold_out_record: tuple[str, ...],
-        starts: int | None, quick: bool, time: float | None, loss: str, output: str | None,
-        png: str | None) -> None:
+        starts: int | None, quick: bool, time: float | None, auto: bool, loss: str,
+        output: str | None, png: str | None) -> None:
     r"""
     Fit parameters of a scene to RECORDs: logs, bags or tables, and predict the rest of them.
 
     \b
         timo_sim fit run.mcap --free motor.viscous_friction,arm.young_modulus
         timo_sim fit arm.csv --mapping columns.yaml --scene arm.yaml --hold-out 0.5 \
-            --free motor.shaft_inertia,shaft.bias -o fitted.yaml --png fit.png
+            --free arm.young_modulus=200e9~5%,shaft.bias -o fitted.yaml --png fit.png
+        timo_sim fit arm.csv --mapping columns.yaml --scene arm.yaml --hold-out 0.5 --auto
         timo_sim fit a.csv b.csv --hold-out-record c.csv --mapping columns.yaml \
             --scene arm.yaml --free arm.young_modulus,motor.shaft_inertia
 
@@ -531,9 +537,17 @@ def fit(records: tuple[str, ...], scene: str | None, free: tuple[str, ...],
     far is reported and written; 2 bad input.
     """
     from timo_sim.fitting.result import fit, read_scene_and_records
+    from timo_sim.scene.files import scene_text, whole_file
     from timo_sim.scene.parameters import ModelWarning, ParameterError
-    from timo_sim.scene.scene import load_scene
+    from timo_sim.scene.scene import load_scene, Scene
     _require(matplotlib=png)
+
+    def keep(scene: Scene, text: str) -> None:
+        if output:
+            with whole_file(output) as part:
+                part.write_text(f'# Best so far of timo_sim fit --auto: {text}\n'
+                                + scene_text(scene.values), encoding='utf-8')
+
     for path in filter(None, (output, png)):  # before minutes are spent
         if not Path(path).absolute().parent.is_dir():
             raise FileNotFoundError(f'{path} cannot be written: its folder does not exist')
@@ -551,11 +565,14 @@ def fit(records: tuple[str, ...], scene: str | None, free: tuple[str, ...],
         signal.signal(number, signal.default_int_handler)
     with warnings.catch_warnings():
         warnings.simplefilter('ignore', ModelWarning)  # the report has its text
-        found = fit(load_scene(guess, changes), measured, ','.join(free).split(','), ends,
+        names = [name for each in free for name in each.split(',')]
+        found = fit(load_scene(guess, changes), measured, names, ends,
                     hold_out, loss, starts=starts, hold_out_records=held,
-                    tell=partial(click.echo, err=True), quick=quick, time=time)
+                    tell=partial(click.echo, err=True), quick=quick, time=time, auto=auto,
+                    keep=keep)
     click.echo(found.report())
     if output:
+        Path(output).unlink(missing_ok=True)  # the best so far
         click.echo(f'{found.save(output)} is written')
     if png:
         _draw(found.plot(), png)
@@ -730,9 +747,9 @@ def parse_settings(settings: Iterable[str]) -> dict[str, Any]:
 
 def _parse_bounds(texts):
     def ends_of(text):
-        low, *guess, high = text.split(':')
-        return float(low or '-inf'), *map(float, guess), float(high or 'inf')
-    return _parse(texts, ends_of, '--bounds takes NAME=LOW:HIGH or NAME=LOW:GUESS:HIGH, such as '
+        low, high = text.split(':')
+        return float(low or '-inf'), float(high or 'inf')
+    return _parse(texts, ends_of, '--bounds takes NAME=LOW:HIGH, such as '
                   'motor.shaft_inertia=1e-4:0.1')
 
 

@@ -13,7 +13,7 @@ from typing import Any
 
 import numpy as np
 
-from timo_sim.fitting.problem import Free, Problem, WHITE, whiteness
+from timo_sim.fitting.problem import alike, Free, Problem, WHITE, whiteness
 from timo_sim.model.differences import differences
 from timo_sim.scene.parameters import ParameterError
 from timo_sim.simulation.warnings import DivergenceError
@@ -35,11 +35,14 @@ class Objective:
     """
     The residuals of several problems by x, the coordinates of all `free`.
 
+    Behind those of the records are those of first guesses with a width, so that the least squares
+    are those of the most likely x. Where residuals of records are correlated they tell less, and
+    the guesses count for more.
+
     Problems share parameters, but biases and initial states, which each has of its own: `places`
     has for each problem where its `free` are in x, `ends` until when its record is fitted [s].
-    `start`, `low` and `high` are first values and bounds of x. `deviations` and
-    `against` have for each problem, by output, the standard deviation of the sensor, and the least
-    correlation with the first run.
+    `start`, `low` and `high` are first values and bounds of x. `deviations` has for each problem,
+    by output, the standard deviation of the sensor.
     """
 
     def __init__(self, problems: Sequence[Problem], loss: str = 'linear') -> None:
@@ -63,9 +66,15 @@ class Objective:
         self.start, self.low, self.high = (
             np.array([free.coordinate(getattr(free, kind)) for free in self.free])
             for kind in ('start', 'low', 'high'))
-        self.against = [_check_start(problem, self.values(self.start, k))
-                        for k, problem in enumerate(self.problems)]
+        self.widths = np.array([free.width for free in self.free])
+        self._alike = 1.0  # residuals that tell as much as one, since they are correlated
         self.ends = [problem.until for problem in problems]
+        try:
+            for k, problem in enumerate(self.problems):
+                problem.predicted(self.values(self.start, k), problem.until)
+        except (DivergenceError, ParameterError) as error:
+            raise ParameterError('the record cannot be predicted with the first guess: '
+                                 f'{error}') from None
 
     def of_first_parts(self) -> Objective:
         """Return the objective of the first part of each record."""
@@ -102,8 +111,13 @@ class Objective:
         return np.concatenate([
             problem.residuals_of_none(deviations, end) if part is None else part
             for problem, deviations, end, part in zip(
-                self.problems, self.deviations, self.ends, parts)]), any(
-                    part is None for part in parts)
+                self.problems, self.deviations, self.ends, parts)] + [
+                    self._slopes @ (x - self.start)]), any(part is None for part in parts)
+
+    @property
+    def _slopes(self):
+        """The derivatives of the residuals of guesses, shape (m, p)."""
+        return math.sqrt(self._alike) * np.diag(1.0 / self.widths)[np.isfinite(self.widths)]
 
     def residuals(self, x: np.ndarray) -> np.ndarray:
         """Return all residuals, shape (n,)."""
@@ -121,7 +135,8 @@ class Objective:
 
     def jacobian(self, x: np.ndarray, step: float = CENTRAL, central: bool = True) -> np.ndarray:
         """Return the derivatives of the residuals by x, (n, len(x)), from differences of runs."""
-        here, steps = self.residuals(x), np.full(len(x), step)
+        here = np.concatenate(self.split(self.residuals(x)))
+        steps = np.full(len(x), step)
         if central:
             # A delay is varied by whole steps: within a step the run depends on it only through
             # the interpolation of the load.
@@ -139,13 +154,13 @@ class Objective:
             return np.concatenate([np.full(size, np.nan) if part is None else part
                                    for size, part in zip(sizes, self._of_problems(shifted))])
 
-        return np.nan_to_num(differences(lambda shifts: np.array([
+        return np.vstack([np.nan_to_num(differences(lambda shifts: np.array([
             rows(x + shift) if shift.any() else here for shift in shifts]), steps,
-            2 if central else 1).slope)
+            2 if central else 1).slope), self._slopes])
 
     def split(self, rows: np.ndarray) -> list[np.ndarray]:
-        """Return the rows of each output of each problem."""
-        return np.split(rows, np.cumsum([len(measured) for *_, measured in self.series()])[:-1])
+        """Return the rows of each output of each problem, without those of guesses."""
+        return np.split(rows, np.cumsum([len(measured) for *_, measured in self.series()]))[:-1]
 
     def weights(self, residuals: np.ndarray) -> np.ndarray:
         """Return the roots of the weights that the loss gives to residuals, shape (n,)."""
@@ -166,8 +181,9 @@ class Objective:
 
     def estimate_deviations(self, x: np.ndarray) -> float:
         """Estimate the standard deviations of the sensors; return the largest relative change."""
-        change = 0.0
-        for (k, name, _), r in zip(self.series(), self.split(self.residuals(x))):
+        change, series = 0.0, self.split(self.residuals(x))
+        self._alike = float(np.average([*map(alike, series)], weights=[*map(len, series)]))
+        for (k, name, _), r in zip(self.series(), series):
             deviation = self.deviations[k][name]
             size = math.sqrt(np.mean(r**2)) if self.loss == 'linear' else (
                 _MAD * float(np.median(np.abs(r))))
@@ -177,24 +193,6 @@ class Objective:
                 change = max(change, abs(new / deviation - 1.0))
                 self.deviations[k][name] = new
         return change
-
-
-def _check_start(problem, values):
-    """Return the least correlations of outputs with the first run, of all and of a first part."""
-    against = {}
-    try:
-        predicted, until = problem.predicted(values, problem.until), first_part(problem)
-        for name, measured in problem.measurements(problem.until).items():
-            t = problem.record.outputs[name].t
-            for end in (problem.until, until):
-                part = t[t <= problem.until] <= end
-                if part.sum() > 2 and np.ptp(predicted[name][part]) and np.ptp(measured[part]):
-                    correlation = float(np.corrcoef(predicted[name][part], measured[part])[0, 1])
-                    against[name] = min(correlation, against.get(name, 0.0))
-    except (DivergenceError, ParameterError) as error:
-        raise ParameterError(
-            f'the record cannot be predicted with the first guess: {error}') from None
-    return against
 
 
 def first_part(problem: Problem) -> float:

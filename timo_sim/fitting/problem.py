@@ -30,7 +30,8 @@ from timo_sim.scene.bodies import motor_constants
 from timo_sim.scene.loads import Load, on_boundaries, Table
 from timo_sim.scene.numbers import (
     INITIAL, initial_names, initial_scale, number_of, overrides_of)
-from timo_sim.scene.parameters import did_you_mean, ModelWarning, ParameterError, short, StepError
+from timo_sim.scene.parameters import (
+    did_you_mean, ModelWarning, OF_MATERIAL, ParameterError, short, StepError)
 from timo_sim.scene.scene import Scene
 
 # What a quantity of the record is multiplied by, added to and late by. `lag` is the time constant
@@ -46,6 +47,7 @@ class Free:
 
     First value `start` and bounds are in the unit of the parameter, as is `scale`, a change that
     matters. With `log` the fit works with its logarithm, and `scale` is a part of the value.
+    `width` is the standard deviation of the first value, in coordinates of the fit; inf: unknown.
     """
 
     name: str
@@ -55,6 +57,13 @@ class Free:
     scale: float
     log: bool
     unit: str
+    width: float = math.inf
+
+    @property
+    def text(self) -> str:
+        """What `split_guess` takes apart."""
+        size = self.scale * (self.start if self.log else 1.0)
+        return f'{self.name}={self.start!r}~{float(self.width * size)!r}'
 
     @property
     def is_own(self) -> bool:
@@ -74,14 +83,18 @@ class Free:
 def free_parameters(names: Sequence[str], bounds: Mapping[str, Sequence[float]], scene: Scene,
                     record: Record) -> list[Free]:
     """
-    Return the Free parameters of a fit, with bounds (low, high) or (low, guess, high) by name.
+    Return the Free parameters of a fit from texts NAME=VALUE~WIDTH, with bounds (low, high).
 
-    Raises ParameterError if a name is unknown or given twice, or a start is outside of its bounds.
+    Without a name, a width is that of all that have none. Raises ParameterError if a name is
+    unknown or given twice, or a start is outside of its bounds.
     """
-    wanted = [each for name in names for each in (
-        initial_names(scene) if name == INITIAL else [name])]
-    if not wanted:
-        raise ParameterError('a fit must have at least one free parameter, got none')
+    guesses = [(each, value, width) for name, value, width in map(split_guess, names) if name
+               for each in (initial_names(scene) if name == INITIAL else [name])]
+    usual = ([width for name, _, width in map(split_guess, names) if not name] or [''])[-1]
+    wanted = [name for name, *_ in guesses]
+    for name, value, _ in map(split_guess, names):
+        if name == INITIAL and value:
+            raise ParameterError(f'{name} is many numbers, and takes no value, got {value}')
     for place, name in enumerate(wanted):
         if name in wanted[:place]:
             raise ParameterError(f'{name} is free twice')
@@ -89,23 +102,69 @@ def free_parameters(names: Sequence[str], bounds: Mapping[str, Sequence[float]],
         if name not in wanted:
             raise ParameterError(f'bounds of {short(name, str)} need it to be free; free are '
                                  f'{", ".join(wanted)}{did_you_mean(name, wanted)}')
-    return [_free(name, bounds.get(name), scene, record) for name in wanted]
+    return [_free(name, value, width or usual, bounds.get(name), scene, record)
+            for name, value, width in guesses]
 
 
-def _free(name, bounds, scene, record):
+def split_guess(text: str) -> tuple[str, str, str]:
+    """Return name, value and width of a text NAME=VALUE~WIDTH, '' for what it lacks."""
+    rest, _, width = text.partition('~')
+    name, _, value = rest.partition('=')
+    return name.strip(), value.strip(), width.strip()
+
+
+def names_for(record: Record, records: Sequence[Record], free: Sequence[str]) -> list[str]:
+    """Return the texts in `free` without sensors that other records have, but not this one."""
+    quantities = {name for each in records for name in (*each.inputs, *each.outputs)}
+    missing = quantities - {*record.inputs, *record.outputs}
+    return [each for each in free if split_guess(each)[0].rpartition('.')[0] not in missing]
+
+
+_RULE = ('must be NAME, NAME=VALUE, NAME~WIDTH or NAME=VALUE~WIDTH with a width such as 5%, x3 '
+         '(a factor), 0.01 or inf')
+_GIVEN, _LENGTH, _FACTOR, _OTHER = 0.05, 0.01, 3.0, 10.0  # usual widths: parts, and factors
+_BIAS = 0.05  # that of a bias, of the range of what was measured
+
+
+def _width_of(text, name, start, scale, log, usual):
+    """Return the width in coordinates that a text gives, by default a usual one."""
+    size = scale * (start if log else 1.0)  # of a coordinate
+    try:
+        width = usual if not text else (
+            math.log(float(text[1:])) if text[0] == 'x' and log else
+            0.01 * float(text[:-1]) * abs(start) / size if text[-1] == '%' else
+            float(text) / size)
+    except ValueError:
+        width = math.nan
+    if not width > 0.0:
+        raise ParameterError(f'{name} {_RULE}, and > 0, got {short(text, str)}')
+    return width
+
+
+def _usual_width(name, scene, unit, log):
+    """Return how well a parameter of a scene is known before it is measured, in coordinates."""
+    if not log:
+        return math.inf
+    if name in OF_MATERIAL and scene.values['arm.material'] != 'none':
+        return _GIVEN
+    loose = any(word in name for word in ('friction', 'damping', 'coulomb'))
+    return _LENGTH if unit == 'm' and not loose else math.log(_FACTOR if loose else _OTHER)
+
+
+def _free(name, value, width, bounds, scene, record):
     quantity, _, kind = name.rpartition('.')
     channels = {**record.inputs, **record.outputs}
     if quantity in channels and kind in SENSOR and (kind, quantity) != ('lag', DRIVE):
         values = channels[quantity].values
         # A lag begins above its bound of 0, because a search leaves a bound slowly.
         start = 2.0 * record.period if kind == 'lag' else SENSOR[kind]
-        low, high, scale, log, unit = {
-            'gain': (0.0, math.inf, 1.0, True, ''),
-            'bias': (-math.inf, math.inf, float(np.std(values)) or 1.0, False, unit_of(quantity)),
-            'delay': (-0.1 * record.duration, 0.1 * record.duration, 10.0 * record.period, False,
-                      's'),
-            'lag': (0.0, 0.1 * record.duration, 10.0 * record.period, False, 's'),
-        }[kind]
+        spread, late = float(np.std(values)) or 1.0, 0.1 * record.duration
+        low, high, scale, log, unit, usual = {
+            'gain': (0.0, math.inf, 1.0, True, '', _GIVEN if value else math.log(_FACTOR)),
+            'bias': (-math.inf, math.inf, spread, False, unit_of(quantity),
+                     _BIAS * np.ptp(values) / spread or math.inf),
+            'delay': (-late, late, 10.0 * record.period, False, 's', math.inf),
+            'lag': (0.0, late, 10.0 * record.period, False, 's', math.inf)}[kind]
     else:
         parameter, start = number_of(
             name, scene, ' nor QUANTITY.gain, .bias, .delay or .lag of ' + ', '.join(channels),
@@ -114,15 +173,19 @@ def _free(name, bounds, scene, record):
         log = low == 0.0
         scale = initial_scale(name, scene) if name.startswith(INITIAL) else max(abs(start), 1.0)
         scale = 1.0 if log else scale
+        usual = _usual_width(name.partition('[')[0], scene, unit, log)
     try:
-        lowest, *guess, highest = map(float, (-math.inf, math.inf) if bounds is None else bounds)
-        good = lowest < highest and len(guess) < 2 and all(map(math.isfinite, guess))
+        lowest, highest = map(float, (-math.inf, math.inf) if bounds is None else bounds)
+        good = lowest < highest
     except (TypeError, ValueError):
         good = False
     if not good:
-        raise ParameterError(f'bounds of {name} must be two ascending numbers, or three with a '
-                             f'first guess in between, got {short(bounds)}')
-    start, = guess or [start]
+        raise ParameterError(f'bounds of {name} must be two ascending numbers, got '
+                             f'{short(bounds)}')
+    try:
+        start = float(value or start)
+    except ValueError:
+        raise ParameterError(f'{name} {_RULE}, got {short(value, str)}') from None
     if log and start <= 0.0:
         raise ParameterError(f'{name} must be > 0 {unit} in the scene to be fitted, since its '
                              f'first value is a guess to begin with; got {start:g}')
@@ -132,7 +195,8 @@ def _free(name, bounds, scene, record):
     if not low <= start <= high:
         raise ParameterError(f'{name} = {start:g} must be within its bounds, {low:g} to {high:g}, '
                              'where the fit begins')
-    return Free(name=name, start=start, low=low, high=high, scale=scale, log=log, unit=unit)
+    return Free(name=name, start=start, low=low, high=high, scale=scale, log=log, unit=unit,
+                width=_width_of(width, name, start, scale, log, usual))
 
 
 _DEGREE = 5  # of the spline through a driven angle, whose acceleration is smooth
@@ -450,8 +514,19 @@ def whiteness(residuals: np.ndarray) -> float:
     return float(chi2.sf(n * (n + 2.0) * np.sum(correlation**2 / (n - lag)), lags))
 
 
-def covariance(jacobians: Sequence[np.ndarray],
-               residuals: Sequence[np.ndarray]) -> tuple[np.ndarray, bool]:
+def alike(residuals: np.ndarray) -> float:
+    """Return how many residuals of a series, (n,), tell as much as one that is independent."""
+    n = len(residuals)
+    if whiteness(residuals) >= WHITE:
+        return 1.0
+    # The sum of the squares of correlations: that for a column with the same spectrum.
+    power = np.abs(np.fft.rfft(residuals, 2 * n))**2
+    correlation = np.fft.irfft(power)[:max(1, n // 20)] / (residuals @ residuals)
+    return float(2.0 * np.sum(correlation**2) - 1.0)
+
+
+def covariance(jacobians: Sequence[np.ndarray], residuals: Sequence[np.ndarray],
+               widths: Any = math.inf) -> tuple[np.ndarray, bool]:
     """
     Return the covariance, (p, p), of least-squares estimates, and whether residuals are white.
 
@@ -460,7 +535,7 @@ def covariance(jacobians: Sequence[np.ndarray],
     minimises Schwarz's criterion (BIC). No combination of parameters is then taken to be more
     certain than with independent noise. The arguments are lists with an element for each series
     (an output of a record): derivatives, (n_i, p), of the residuals, (n_i,), in standard
-    deviations.
+    deviations. `widths`, (p,), are the deviations of first guesses, which tell as well.
     """
     whole = np.concatenate(jacobians)
     norms = np.maximum(np.linalg.norm(whole, axis=0), _MIN_SENSITIVITY)
@@ -477,6 +552,9 @@ def covariance(jacobians: Sequence[np.ndarray],
         parts = np.split(u, np.cumsum([len(each) for each in residuals])[:-1])
         size, axes = np.linalg.eigh(sum(map(_covariance_of_sums, parts, residuals)))
         root = root @ (axes * np.sqrt(np.maximum(size, 1.0)))
+    # (R R' )^-1 + W W' is inverted by the singular values of W' R, which keeps small ones.
+    _, s, vt = np.linalg.svd(root / np.reshape(widths, (-1, 1)))
+    root = root @ (vt.T / np.hypot(1.0, s))
     return root @ root.T, white
 
 

@@ -16,12 +16,15 @@ from typing import Any, NamedTuple, TYPE_CHECKING
 import numpy as np
 
 from timo_sim.extras import optional
+from timo_sim.fitting.auto import choose, plain
 from timo_sim.fitting.logs import read_log
+from timo_sim.fitting.look import begin_with, look, noise_of
 from timo_sim.fitting.mapping import is_mapping, read_record
 from timo_sim.fitting.objective import LOSSES, Objective
 from timo_sim.fitting.record import Record, unit_of
 from timo_sim.fitting.problem import (
-    covariance, NORMAL, r_squared, TimeIsUp, unidentified_combinations, whiteness)
+    covariance, names_for, NORMAL, r_squared, split_guess, TimeIsUp,
+    unidentified_combinations, whiteness)
 from timo_sim.fitting.posterior import Posterior, Samples
 from timo_sim.fitting.response import draw_responses, problem_of, Response
 from timo_sim.fitting.search import NUMERICAL, reason_of, Search
@@ -42,8 +45,12 @@ _RUN_HEAD = 'rms error and R^2 of one run from the beginning of the record, with
 _AT_BOUND = 1e-3  # distance from a bound, in coordinates of the fit, that counts as none
 _MIN_SAMPLES = 10  # samples of a part whose errors are worth a number
 _MAX_NOISE_RATIO = 2.0  # ratio of a residual to the known noise, above which there is a warning
+_NARROWED = 0.5  # part of the width of a guess that a record leaves, above which it tells nothing
+_MANY = 5.0  # ratio of residuals to noise, above which no interval holds
+_WORSE, _POOR = 3.0, 0.9  # ratio of errors held out and fitted, and R^2, that are warned of
 _FAR = 10.0  # ratio of an estimate to its first guess, above which there is a warning
 _RUNS = 30  # runs of a fit for each free parameter, in round figures
+_FOR_EFFECTS = 0.6  # part of the time of a fit in which effects are tried
 _LONG = 60.0  # time of a fit, above which a remedy is told [s]
 _MAX_NUMERICAL = 0.2  # part of a residual that may be numerical error
 # Runs that follow a search for each free parameter and for all, and the most of the time of a fit
@@ -56,7 +63,9 @@ class Estimate:
     """
     A fitted parameter with its 95 % interval, `low` to `high`; NaN if it is not identified.
 
-    The interval alone is NaN where the fit was stopped before it was known.
+    The interval alone is NaN where the fit was stopped before it was known. A parameter whose
+    first guess has a width, of which the record leaves more than half, keeps its numbers, but is
+    `from_guess` and counts as not identified.
 
     `deviation` is the standard deviation; of a positive parameter that of its logarithm times its
     value. `start` is the first guess; `bound` is 'low' or 'high' if it is at this bound, else ''.
@@ -73,6 +82,7 @@ class Estimate:
     identified: bool
     bound: str
     profile: bool = False
+    from_guess: bool = False
 
 
 @dataclass(frozen=True)
@@ -205,6 +215,11 @@ class Fit(Prediction):
         empty if these are white.
     stopped : str
         Why the search ended before its end, if it did: the estimates are then the best so far.
+    look : list of str
+        What the records said before the search, by themselves and beside the first guess.
+    ladder : list of str
+        With `auto`, which effects were tried, the error of what was held out for that, of its
+        spread, and which stay (those that are not indented).
 
     """
 
@@ -221,6 +236,8 @@ class Fit(Prediction):
     posterior: Any = None
     suspects: list[Suspect] = field(default_factory=list)
     stopped: str = ''
+    look: list[str] = field(default_factory=list)
+    ladder: list[str] = field(default_factory=list)
 
     @property
     def values(self) -> dict[str, float]:
@@ -245,10 +262,12 @@ class Fit(Prediction):
                  f'{"best so far" if self.stopped else "estimate":>11}  {"95 % interval":>25}  '
                  f'{"first guess":>11}']
         for name, each in self.estimates.items():
-            interval = ('not known' if math.isnan(each.low)
+            interval = ('from your guess' if each.from_guess
+                        else 'not known' if math.isnan(each.low)
+                        else 'no interval' if self.misfit > _MANY
                         else f'{each.low:.5g} to {each.high:.5g}')
-            shown = (f'{each.value:>11.5g}  {interval:>25}'
-                     if each.identified else f'{"not identified by this record":>38}')
+            shown = (f'{"not identified by this record":>38}' if math.isnan(each.value)
+                     else f'{each.value:>11.5g}  {interval:>25}')
             bound = '  by profile' * each.profile + (
                 f'  at its {each.bound} bound' if each.bound else '')
             lines.append(f'{name:<{width}}  {shown}  {each.start:>11.5g}  {each.unit}{bound}'
@@ -267,6 +286,10 @@ class Fit(Prediction):
         lines += [f'{self.starts} starts were tried' if self.starts > 1 else 'one start was tried']
         if self.scene.load and self.record.inputs:
             lines += ['the loads of the scene act beside the inputs of the record']
+        lines += ['', 'before the search:', *self.look]
+        if self.ladder:
+            lines += ['', 'effects, and the error of the end of what is fitted, which was held '
+                      'out, of its spread:', *self.ladder]
         lines += ['', _RUN_HEAD]
         for number, each in enumerate([self, *self.more], 1):
             lines += [f'record {number}, {each.record.source}:'] * bool(self.more)
@@ -275,8 +298,29 @@ class Fit(Prediction):
                     for each in part.errors.values())
         lines += ['', 'residuals of the fit are ' + (
             'white' if self.white else 'numerical errors alone' if exact else
-            'not white, so the model lacks something; intervals allow for correlated residuals')]
-        return '\n'.join([*lines, *(f'warning: {each}' for each in self.warnings)])
+            'not white, so the model lacks something; ' + (
+                f'they are {self.misfit:.3g} times the noise, so there are no intervals'
+                if self.misfit > _MANY else 'intervals allow for correlated residuals'))]
+        return '\n'.join([*lines, *(f'warning: {each}' for each in self.warnings), '',
+                          self.verdict])
+
+    @property
+    def verdict(self) -> str:
+        """How well the fit predicts what was held out, in a sentence."""
+        parts = [f'{each.hold_out_rms:.2g} {unit_of(name)} of {name} ({share:.1%} of its range)'
+                 for part in (self, *self.more) for name, each in part.errors.items()
+                 if math.isfinite(share := each.hold_out_rms / (
+                     np.ptp(part.record.outputs[name].values) or math.nan))]
+        return ('predicts what was held out within ' + ', '.join(parts) if parts else
+                'nothing was held out, so nothing says how well it predicts')
+
+    @property
+    def misfit(self) -> float:
+        """The largest ratio of residuals to the noise of an output, if these are not white."""
+        return 0.0 if self.white else max(
+            each.residual_rms / (channel.noise or noise_of(channel) or math.inf)
+            for part in (self, *self.more) if part.until for each, channel in zip(
+                part.errors.values(), part.record.outputs.values()))
 
     @checked(seed=WHOLE)
     def sample(self, n: int, seed: int = 0) -> Samples:
@@ -284,12 +328,12 @@ class Fit(Prediction):
         Return n Samples of the parameters that the records allow, each as likely as the others.
 
         Up to 1000 draws from a wider distribution are weighted by the squares of their runs, about
-        two for each. Raises ParameterError if a parameter is not identified, since the records
-        then allow any value of it, or if the fit was stopped before its intervals.
+        two for each. Raises ParameterError if a parameter has no value, since the records then
+        allow any of it, or if the fit was stopped before its intervals.
         """
         if self.posterior is None:
             raise ParameterError('samples must have intervals, before which the fit was stopped')
-        lost = [name for name, each in self.estimates.items() if not each.identified]
+        lost = [name for name, each in self.estimates.items() if math.isnan(each.value)]
         if lost:
             raise ParameterError(f'samples need parameters that are identified: fix {lost[0]}')
         return self.posterior.sample(n, seed, self.scene)
@@ -323,18 +367,20 @@ def _are_mappings(value):
         value, (list, tuple)) else is_mapping(value)
 
 
-@checked(free=TEXTS, bounds=MAPPING, tell=FUNCTION, quick=FLAG,
+@checked(free=TEXTS, bounds=MAPPING, tell=FUNCTION, quick=FLAG, auto=FLAG, keep=FUNCTION,
          record=(_are_records, 'a Record, a path, or a list of these'),
          hold_out_records=(_are_records, 'a list of Records or paths'),
          mapping=(_are_mappings, 'a path, values by name, or a list of these'))
-def fit(scene: SceneLike | None, record: RecordLike | Sequence[RecordLike], free: Sequence[str],
+def fit(scene: SceneLike | None, record: RecordLike | Sequence[RecordLike],
+        free: Sequence[str] = (),
         bounds: Mapping[str, Sequence[float]] | None = None, hold_out: float = 0.0,
         loss: str = 'linear',
         mapping: str | Path | Mapping[str, Any] | Sequence[Any] | None = None,
         starts: int | None = None,
         hold_out_records: Sequence[RecordLike] = (),
         tell: Callable[[str], object] | None = None, quick: bool = False,
-        time: float | None = None) -> Fit:
+        time: float | None = None, auto: bool = False,
+        keep: Callable[[Scene, str], object] | None = None) -> Fit:
     """
     Fit parameters of a scene to a measured record, or to several.
 
@@ -353,10 +399,12 @@ def fit(scene: SceneLike | None, record: RecordLike | Sequence[RecordLike], free
     free : sequence of str
         Names of parameters of the scene that are numbers, with [k] for an element of a list;
         QUANTITY.gain, .bias, .delay or .lag of an input or output of the record, such as
-        shaft.bias; or `initial` for the whole initial state.
+        shaft.bias; or `initial` for the whole initial state. NAME=VALUE gives a first guess, by
+        default that of the scene; NAME~WIDTH and NAME=VALUE~WIDTH its standard deviation: 5%, x3
+        (a factor), a number, or inf, which is no guess but a place to begin. ~WIDTH alone is that
+        of all which have none; else it is a usual one, see doc/fit.md.
     bounds : dict, optional
-        (low, high) by name, within the parameter's own rule, or (low, guess, high) with the
-        value to begin with, in place of that of the scene.
+        (low, high) by name, within the parameter's own rule.
     hold_out : float
         Part of each record, at its end, that is not fitted but predicted, 0 to 0.95.
     loss : str
@@ -379,6 +427,12 @@ def fit(scene: SceneLike | None, record: RecordLike | Sequence[RecordLike], free
         Most that the fit may take [s], but for the last run of each record. The search leaves
         time for the intervals. Where this or a KeyboardInterrupt (Ctrl-C) stops the fit, the best
         so far is returned, see `Fit.stopped`.
+    auto : bool
+        Choose the effects, too: from what `free` names, by default the plain arm, effects are
+        tried in turn, and kept if the last third of what is fitted, which is held out for that,
+        is predicted better. They may take six tenths of `time`.
+    keep : function(Scene, str), optional
+        Is called, with `auto`, with each scene that is the best so far, and the values found.
 
     Raises
     ------
@@ -410,21 +464,46 @@ def fit(scene: SceneLike | None, record: RecordLike | Sequence[RecordLike], free
     time = None if time is None else _TIME.check(time)
     start, measured, held = read_scene_and_records(scene, record, mapping, hold_out_records)
     start = start.with_fixed_shapes()
-    begun = monotonic()
+    if auto and not free:
+        start, free = plain(start, measured[0])
+    if not any(split_guess(each)[0] for each in free):
+        raise ParameterError('a fit must have at least one free parameter, got none, or auto')
+    begins = [begin_with(start, each, free) for each in measured]
+    bounds, begun = dict(bounds or {}), monotonic()
 
     def say(text):
         if tell:
             tell(f'{monotonic() - begun:.1f} s: {text}')
 
-    objective = Objective([
-        problem_of(scene=start, record=each, names=_names_for(each, measured, free),
-                   bounds=dict(bounds or {}), until=(1.0 - hold_out) * each.duration)
-        for each in measured], loss)
-    others = [_held_out(start, each, free, measured, objective) for each in held]
-    search, end = Search(objective, say), math.inf if time is None else begun + time
+    def objective_of(scene, texts):
+        names = [split_guess(each)[0] for each in texts]
+        late = {name: (-measured[0].period, math.inf) for name in names
+                if auto and name.endswith('.delay')}
+        ends = {name: ends for name, ends in (late | bounds).items() if not auto or name in names}
+        return Objective([
+            problem_of(scene=scene.vary(changes), record=each, names=names_for(each, measured, [
+                *texts, *(text for text in more if split_guess(text)[0] not in names)]),
+                    bounds=ends, until=(1.0 - hold_out) * each.duration)
+            for (changes, more, _), each in zip(begins, measured)], loss)
+
+    objective, end = objective_of(start, free), math.inf if time is None else begun + time
+    seen = [f'{line} (record {k + 1})' if len(measured) > 1 else line
+            for k, (problem, (*_, told)) in enumerate(zip(objective.problems, begins))
+            for line in (*told, *look(problem, objective.values(objective.start, k)))]
     if tell or time:
         run, columns = _measure(objective)
         say(_expect(run, columns, quick))
+        say('\n  '.join(['before the search:', *seen]))
+    choice, first = None, {}
+    if auto:
+        choice = choose(start, [*free], objective_of, say, keep or (lambda scene, text: None),
+                        begun + _FOR_EFFECTS * (end - begun), starts)
+        start, free, starts, first = choice.scene, choice.free, starts or 1, choice.values
+        objective = objective_of(start, free)
+    others = [_held_out(start, each, free, measured, objective) for each in held]
+    search = Search(objective, say, first)
+    search.interrupted = choice is not None and isinstance(choice.stopped, KeyboardInterrupt)
+    if tell or time:
         search.set_deadline(end - min(_KEPT * (end - begun), run * (
             _RUNS_OF_DERIVATIVES * columns + _RUNS_AFTER)))
     search.run(starts)
@@ -455,7 +534,8 @@ def fit(scene: SceneLike | None, record: RecordLike | Sequence[RecordLike], free
         estimates=estimates, correlation=intervals.correlation,
         unidentified=intervals.unidentified(estimates), white=intervals.white,
         warnings=phases.doubts, seconds=seconds, starts=search.tried, others=search.others,
-        more=more, posterior=intervals.posterior, suspects=likely, stopped=search.stopped)
+        more=more, posterior=intervals.posterior, suspects=likely, stopped=search.stopped,
+        look=seen, ladder=choice.ladder if choice else [])
     if phases.doubts:
         warn('; '.join(phases.doubts))
     return result
@@ -463,10 +543,12 @@ def fit(scene: SceneLike | None, record: RecordLike | Sequence[RecordLike], free
 
 def _held_out(start, record, free, measured, objective):
     """Return the Problem of a record that is predicted, without parameters of its own."""
-    if 'shaft' in record.outputs and {'initial', 'initial.shaft'} & {*free}:
+    start = start.vary(begin_with(start, record, [])[0])
+    if 'shaft' in record.outputs and {'initial', 'initial.shaft'} & {
+            split_guess(each)[0] for each in free}:
         start = start.vary({'initial.shaft': float(record.outputs['shaft'].values[0])})
     common = [each.name for each in objective.free if not each.is_own]
-    return problem_of(start, record, _names_for(record, measured, common), {}, 0.0)
+    return problem_of(start, record, names_for(record, measured, common), {}, 0.0)
 
 
 class _Intervals(NamedTuple):
@@ -490,14 +572,16 @@ class _Intervals(NamedTuple):
                 search.objective.free, search.x, self.identified)):
             value, half = free.value(at), NORMAL * sigma[k]
             edges = {'low': free.coordinate(free.low), 'high': free.coordinate(free.high)}
+            known = identified or math.isfinite(free.width)
             low, high = (map(free.value, self.profiles.get(k, (at - half, at + half)))
-                         if identified else (math.nan, math.nan))
+                         if known else (math.nan, math.nan))
             deviation = sigma[k] * (value if free.log else free.scale)
             estimates[free.name] = Estimate(
-                value=value if identified else math.nan, low=low, high=high,
-                deviation=deviation if identified else math.nan, start=free.start,
+                value=value if known else math.nan, low=low, high=high,
+                deviation=deviation if known else math.nan, start=free.start,
                 unit=free.unit, identified=identified, profile=k in self.profiles, bound=next(
-                    (name for name, edge in edges.items() if abs(at - edge) < _AT_BOUND), ''))
+                    (name for name, edge in edges.items() if abs(at - edge) < _AT_BOUND), ''),
+                from_guess=known and not identified)
         return estimates
 
     def unidentified(self, estimates):
@@ -505,7 +589,8 @@ class _Intervals(NamedTuple):
         if self.posterior is None:
             return []
         lost = {name for name, each in estimates.items() if not each.identified}
-        return unidentified_combinations(self.posterior.jacobian, [*estimates], lost)
+        rows = np.concatenate(self.posterior.objective.split(self.posterior.jacobian))
+        return unidentified_combinations(rows, [*estimates], lost)
 
 
 def _find_intervals(search, phases, quick):
@@ -521,10 +606,12 @@ def _find_intervals(search, phases, quick):
                              'may be too small')
     residuals = objective.residuals(x)
     residuals *= objective.weights(residuals)
-    spread, white = covariance(objective.split(jacobian), objective.split(residuals))
+    spread, white = covariance(
+        objective.split(jacobian), objective.split(residuals), objective.widths)
     posterior = Posterior(objective, x, jacobian, residuals, spread)
     halves = NORMAL * np.sqrt(np.diag(spread))
-    identified = [bool(half < (1.0 if free.log else max(1.0, abs(at))))
+    identified = [bool(half < min(1.0 if free.log else max(1.0, abs(at)),
+                                  _NARROWED * NORMAL * free.width))
                   for free, at, half in zip(objective.free, x, halves)]
     profiles = {} if quick else phases.attempt(
         'intervals by profile are', lambda: posterior.intervals(np.flatnonzero(identified)), {},
@@ -595,13 +682,6 @@ def _expect(run, columns, quick):
     return text
 
 
-def _names_for(record, records, free):
-    """Return the names in `free` without sensors that other records have, but not this one."""
-    quantities = {name for each in records for name in (*each.inputs, *each.outputs)}
-    missing = quantities - {*record.inputs, *record.outputs}
-    return [name for name in free if name.rpartition('.')[0] not in missing]
-
-
 RecordLike = Record | str | Path
 
 
@@ -663,6 +743,11 @@ def _predict(problem, values, residuals, phases):
                 f'{name} is off by {errors[name].residual_rms / channel.noise:.1f} times its '
                 'noise: the model lacks something, or this is not the best minimum: try other '
                 'first guesses')
+        if parts[2] > _WORSE * parts[0] and parts[3] < _POOR:
+            doubts.append(
+                f'what was held out of {name} is {parts[2] / parts[0]:.2g} times as far off as '
+                f'what was fitted (R^2 {parts[3]:.3f}): this scene fits the record, and does not '
+                'predict another: hold fewer parameters free, or fit a record of more motion')
     found = Prediction(problem.record, errors, run, predicted, problem.until)
     if run is None:
         return found, doubts
@@ -697,7 +782,7 @@ def _find_doubts(estimates, problem, values):
     if all(math.isclose(values.get(name, math.nan), each.start, rel_tol=1e-12)
            for name, each in estimates.items()):
         yield 'the search did not leave the first guesses: try others, or more starts'
-    lost = [name for name, each in estimates.items() if not each.identified]
+    lost = [name for name, each in estimates.items() if math.isnan(each.value)]
     if lost:
         yield (f'{", ".join(lost)} cannot be identified from this record: fix some of them, or '
                'record more outputs or another motion')

@@ -5,8 +5,9 @@
 
 from __future__ import annotations
 
-from collections.abc import Callable, Iterator
+from collections.abc import Callable, Iterator, Mapping
 import math
+from types import MappingProxyType
 from typing import NamedTuple
 
 import numpy as np
@@ -33,8 +34,12 @@ class Accuracy(NamedTuple):
 _TRY = Accuracy(ftol=1e-2, xtol=1e-4, max_nfev=12, step=1e-3)
 _LOOSE = Accuracy(ftol=1e-4, xtol=1e-4, max_nfev=60, step=1e-3)
 _TIGHT = Accuracy(ftol=1e-7, xtol=1e-7, max_nfev=60, step=1e-6)
+_ENDS = [_TIGHT._replace(step=1e-3), _TIGHT._replace(step=1e-5)] * 2  # one after the other
+_TINY = 1e-300
+_FLAT = 1e-4  # part of the squares: a gradient that foresees a lower fall is none
 _MAX_SEARCHES = 6  # most searches with standard deviations from the one before
-_SETTLED_CHANGE = 0.01  # relative change of standard deviations that counts as none
+# Relative change of standard deviations that counts as none, at the end and for effects.
+_SETTLED_CHANGE, _SETTLED_ENOUGH = 0.01, 0.2
 _SAME = 0.01  # relative difference of sums of squares below which they are the same
 _ALIKE = 0.05  # the same, of starts that are only tried
 _WORTHWHILE = 3.0  # ratio to the least, below which a minimum of the first part is followed
@@ -48,25 +53,28 @@ _SPREAD = 6.0  # factor by which starts differ from what the record suggests
 
 
 class Minimum(NamedTuple):
-    """Where a search has ended, and half the sum of squares there."""
+    """Where a search has ended, half the squares there, and by what part they may still fall."""
 
     cost: float
     x: np.ndarray
+    fall: float
 
 
 class Search:
     """
-    A search for the least sum of squares of an Objective.
+    A search for the least sum of squares of an Objective, `first` from some values by name.
 
     `tried` starts led to x and to `others` that fit as well, values by name; `stopped` says what
     ended the search before its end, if anything did, and x are then the best so far. `tell` is
     called with a text for each start and search.
     """
 
-    def __init__(self, objective: Objective,
-                 tell: Callable[[str], object] = lambda text: None) -> None:
+    def __init__(self, objective: Objective, tell: Callable[[str], object] = lambda text: None,
+                 first: Mapping[str, float] = MappingProxyType({})) -> None:
         self.objective, self._tell = objective, tell
-        self.x, self.others, self.tried = objective.start, list[dict[str, float]](), 1
+        self.first = objective.within(np.array([
+            free.coordinate(first.get(free.name, free.start)) for free in objective.free]))
+        self.x, self.others, self.tried = self.first, list[dict[str, float]](), 1
         self.stopped, self.interrupted = '', False
         self._best = math.inf, self.x  # of all runs: `Objective.unlikelihood`, and x
 
@@ -81,6 +89,8 @@ class Search:
         """
         objective = self.objective
         try:
+            if self.interrupted:
+                raise KeyboardInterrupt
             self.x, self.others = self._run(starts)
             if not objective.evaluate(self.x)[1]:
                 return
@@ -105,31 +115,54 @@ class Search:
         """Return x and others that fit as well."""
         objective = self.objective
         x, *others = self._try_starts(starts)
-        for number in range(1, _MAX_SEARCHES + 1):
-            x = self._solve(_LOOSE, x).x
-            change = objective.estimate_deviations(x)
-            self._tell(f'search {number} of up to {_MAX_SEARCHES} with the deviations of the '
-                       f'sensors that it finds: they change by {change:.2g}')
-            if change < _SETTLED_CHANGE:
-                break
+        x = self._settle(x)
         self._tell('last search, with tight tolerances')
-        minima = [self._solve(_TIGHT, each) for each in [x, *others]]
+        minima = [self._end(each) for each in [x, *others]]
         best = min(minima, key=lambda each: each.cost)
         if not objective.is_white(best.x) and not self._is_doubtful(best.x, 1):
             # A first part may have led away from a guess that is good.
-            again = self._solve(_TIGHT, self._solve(_LOOSE, objective.start).x)
+            again = self._end(self._solve(_LOOSE, self.first).x)
             self._tell(f'from the first guess without a first part: {again.cost / best.cost:.3g} '
                        'times the squares')
             minima.append(again)
             best = min(best, again, key=lambda each: each.cost)
         apart = [best.x]
-        for cost, x in minima:
+        for cost, x, _ in minima:
             if cost - best.cost < _SAME * best.cost and all(
                     self._is_apart(x, other, best.cost) for other in apart):
                 apart.append(x)
         objective.estimate_deviations(best.x)
         return best.x, [{free.name: free.value(at) for free, at in zip(objective.free, x)}
                         for x in apart[1:]]
+
+    def settle(self, starts: int | None) -> np.ndarray:
+        """Return x and find deviations roughly: from so many starts, or from the first alone."""
+        return self._settle(self._try_starts(starts)[0] if starts else self.first, _SETTLED_ENOUGH)
+
+    def _settle(self, x, enough=_SETTLED_CHANGE):
+        """Return the minimum near x, with the deviations of the sensors that it finds."""
+        for number in range(1, _MAX_SEARCHES + 1):
+            x = self._solve(_LOOSE, x).x
+            change = self.objective.estimate_deviations(x)
+            self._tell(f'search {number} of up to {_MAX_SEARCHES} with the deviations of the '
+                       f'sensors that it finds: they change by {change:.2g}')
+            if change < enough:
+                break
+        return x
+
+    def _end(self, x):
+        """Return the Minimum near x, where the gradient foresees no lower squares."""
+        best = self._solve(_TIGHT, x)
+        for accuracy in _ENDS:
+            if best.fall < _FLAT:
+                break
+            again = self._solve(accuracy, best.x)
+            self._tell(f'its gradient foresaw squares lower by {best.fall:.1g} of them: '
+                       f'{again.cost / best.cost:.6g} times these were found')
+            if not again.cost < best.cost:
+                continue
+            best = again
+        return best
 
     def _is_apart(self, x, other, least):
         """Return whether x differs from another minimum in a direction that the record sees."""
@@ -184,7 +217,7 @@ class Search:
     def _starts(self, count: int) -> Iterator[np.ndarray]:
         """Yield x of the first guess, of what records suggest, and of points around that."""
         objective = self.objective
-        guess = around = objective.start
+        guess = around = self.first
         yield guess
         for k, problem in enumerate(objective.problems[:count - 1]):
             around = guess.copy()
@@ -196,7 +229,8 @@ class Search:
         random, grid = np.random.default_rng(0), np.linspace(
             -math.log(_SPREAD), math.log(_SPREAD), max(count - 1 - len(objective.problems), 0))
         for shift in np.stack([random.permutation(grid) for _ in guess], axis=1):
-            yield around + np.where([free.log for free in objective.free], shift, 0.0)
+            yield around + np.where([free.log for free in objective.free], shift, 0.0) * (
+                np.minimum(objective.widths, 1.0))
 
     def _solve(self, accuracy, x, objective=None):
         """Return the Minimum nearest to x, of the whole objective or of a part of it."""
@@ -213,7 +247,17 @@ class Search:
             residuals, some.within(x), lambda x: some.jacobian(x, accuracy.step, False),
             (some.low, some.high), x_scale='jac', loss=some.loss, ftol=accuracy.ftol,
             xtol=accuracy.xtol, gtol=1e-12, max_nfev=accuracy.max_nfev)
-        return Minimum(end.cost, end.x)
+        inside = end.active_mask == 0
+        size = np.linalg.norm(end.jac, axis=0)[inside] + _TINY
+        jacobian, slope = end.jac[:, inside] / size, end.grad[inside] / size
+        fall = slope @ np.linalg.lstsq(jacobian.T @ jacobian, slope)[0]
+        return Minimum(end.cost, end.x, float(fall) / (2.0 * end.cost or 1.0))
+
+    def weighted(self, x: np.ndarray) -> tuple[np.ndarray, np.ndarray]:
+        """Return weighted derivatives of the residuals at x, (n, p), roughly, and these, (n,)."""
+        rows = self.objective.residuals(x)
+        root = self.objective.weights(rows)
+        return root[:, np.newaxis] * self.objective.jacobian(x, _WIDE, False), root * rows
 
     def derivatives(self) -> tuple[np.ndarray, list[str]]:
         """

@@ -54,15 +54,16 @@ def from_record(problem: Problem, values: Mapping[str, float]) -> dict[str, floa
         for free in problem.free:
             if free.log and free.name.startswith(('arm.', 'end_effector.')):
                 tried = [{**values, free.name: float(value)}
-                         for value in _FACTORS * values[free.name]
+                         for value in _FACTORS**min(free.width, 1.0) * values[free.name]
                          if free.low <= value <= free.high]
                 values = min(tried, key=arm.misfit, default=values)
         if arm.driven:
             start, low, high = np.array([
                 [free.coordinate(each) for each in (values[free.name], free.low, free.high)]
                 for free in problem.free]).T
+            widths = np.minimum(_PRIOR, [free.width for free in problem.free])
             values = problem.values(least_squares(
-                lambda x: np.append(arm.residuals(problem.values(x)), (x - start) / _PRIOR), start,
+                lambda x: np.append(arm.residuals(problem.values(x)), (x - start) / widths), start,
                 bounds=(low, high), x_scale='jac', max_nfev=15, ftol=1e-3, xtol=1e-3).x)
     except (DivergenceError, ParameterError):  # as with too few samples of the shaft
         pass

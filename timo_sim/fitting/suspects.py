@@ -8,14 +8,16 @@ A run of the fitted scene with some of an effect, less that without, is the dire
 effect moves the residuals. What a change of the free parameters would do as well is taken out; the
 share of the squares of the residuals along the rest is what the effect would explain, to first
 order. Effects whose share is close to the largest are then fitted, together with the free
-parameters: what these explain is what the squares have fallen by.
+parameters: what these explain is what the squares have fallen by. Last, the likely ones are fitted
+to two thirds of what is fitted, and must predict the rest better than a fit without them.
 """
 
 from __future__ import annotations
 
 from collections.abc import Callable, Iterator, Mapping, Sequence
 from copy import copy
-from functools import lru_cache
+from functools import lru_cache, partial
+import math
 from typing import Any, NamedTuple
 
 import numpy as np
@@ -24,14 +26,16 @@ from scipy.signal import lfilter
 
 from timo_sim.fitting.objective import Objective
 from timo_sim.fitting.problem import DIVERGED, limit_inputs, WHITE, whiteness
+from timo_sim.fitting.record import DRIVE
 from timo_sim.model.differences import differences
 from timo_sim.model.layout import INPUTS
 from timo_sim.runs.modes import frequencies_in_motion
+from timo_sim.scene.numbers import initial_scale
 from timo_sim.scene.parameters import ParameterError, PARAMETERS
 
 _FRICTION = 0.01, 0.1, 1.0  # sizes that are tried, of the force that accelerates the free body
 _ASYMMETRY, _MOST = 0.2, 0.99
-_PRESLIDING, _LEAST = 0.2, 0.1  # way over `coulomb_speed` [s], and least factor of it
+_PRESLIDING, _LEAST = (0.02, 0.2), 0.1  # way over `coulomb_speed` [s], and least factor of it
 _BACKLASH = 0.003, 0.01, 0.03  # [rad]
 _GRAVITY = 0.5, 5.0  # [m/s2]
 _DELAYS = 1, 5  # steps
@@ -41,9 +45,13 @@ _FACTORS = -5.0, 5.0  # logarithms of factors of such a speed, to which they are
 _STIFF = 5.0  # compliance of a gear that is tried, in step**2 / inertia of the shaft
 _BESIDE = 0.1  # relative distance of a resonance from the modes of the model
 _RESONANCES, _DAMPING = 60, 0.02  # how many frequencies are tried, and their damping ratio
-_ANTICORRELATED = -0.5  # correlation with the first guess below which a sign may be wrong
+_INNER = 2.0 / 3.0  # part of what is fitted to which suspects are fitted; the rest judges them
+BETTER = 0.9  # ratio of errors there, below which a suspect predicts better
+_FINE = 0.01  # error, of the spread of an output, below which others count for more
 _WORTHWHILE = 0.5  # share, relative to the largest, from which on an effect is fitted
 _STEP, _TOLERANCE, _MAX_RUNS = 1e-3, 1e-3, 25  # of these fits, as of `least_squares`
+_GEAR = 'motor.rotor.inertia', 'motor.gear.stiffness', 'motor.gear.damping'
+_MOVING = 'initial.modal_coordinates[0]', 'initial.modal_rates[0]'
 _MIN_SHARE = 0.2  # share from which on a suspect is named
 _MIN_SHARE_WHITE = 0.02  # the same, if what is left would be white
 _ALIKE = 1.5  # ratio of what suspects leave to what the first leaves, up to which they are named
@@ -56,6 +64,9 @@ class Suspect(NamedTuple):
     share: float   # of the squares of the residuals that it explains
     white: bool    # whether the rest of the residuals would be white
     advice: str
+    ratio: float = math.inf  # of errors with it and without, see `predict`, if it was tried
+    change: Callable[..., dict[str, Any]] | None = None  # of the scene, by its values
+    free: Sequence[str] = ()   # what it makes free
 
 
 class _Effect(NamedTuple):
@@ -67,6 +78,8 @@ class _Effect(NamedTuple):
     trials: Sequence[Sequence[float]]   # sizes that are tried; each of them alone moves a run
     low: float = 0.0    # least factor of sizes: 0, -inf for both signs, 1 for all or nothing
     shape: Sequence[float] = ()     # further arguments, which are fitted with the sizes
+    free: Sequence[str] = ()        # names that a fit with it has besides
+    bends: bool = False             # whether its first order tells little
 
 
 def _values(objective, x):
@@ -91,11 +104,12 @@ def _with_effect(objective, x, effect, arguments):
 
 
 def suspects(objective: Objective, x: np.ndarray, jacobian: np.ndarray,
-             residuals: np.ndarray) -> list[Suspect]:
+             residuals: np.ndarray, most: int = 0, error: float = 0.0) -> list[Suspect]:
     """
     Return the Suspects of a fit that has ended at x, that of the largest share first.
 
-    `jacobian`, (n, p), and `residuals`, (n,), are weighted ones there.
+    `jacobian`, (n, p), and `residuals`, (n,), are weighted ones there. The likely ones, or as many
+    as `most`, are tried; `error` is that without them, if it is known.
     """
     if np.any(np.abs(here := objective.residuals(x)) >= DIVERGED):
         return []
@@ -107,7 +121,9 @@ def suspects(objective: Objective, x: np.ndarray, jacobian: np.ndarray,
 
     def explain(columns, low=-np.inf):
         """Return share, whether the rest is white, and the factors of the columns."""
-        columns = root[:, np.newaxis] * np.column_stack(columns)
+        columns = np.column_stack(columns)
+        columns = root[:, np.newaxis] * np.pad(
+            columns, ((0, len(root) - len(columns)), (0, 0)))  # guesses are not concerned
         columns -= free @ (free.T @ columns)
         factors, *_ = np.linalg.lstsq(columns, -left, rcond=1e-9)
         if low >= 0.0 and factors[0] < 0.0:
@@ -126,10 +142,11 @@ def suspects(objective: Objective, x: np.ndarray, jacobian: np.ndarray,
     share, white, frequency = max(
         ((*explain(columns)[:2], frequency) for frequency, columns
          in _resonances(objective, x)), default=(0.0, False, 0.0))
-    found = [*_signs(objective), Suspect(
+    found = [Suspect(
         f'a resonance at {frequency:.3g} Hz, which no mode of the model has', share, white,
-        'look for what vibrates beside the arm, and try other first guesses')]
-    tried = []
+        'look for what vibrates beside the arm, and try other first guesses', 0.0)]
+    tried: list[Any] = []
+    trials: list[tuple[_Effect, np.ndarray]] = []
     for effect in _effects(objective, x):
         of_trials = []
         for sizes in map(np.array, effect.trials):
@@ -137,32 +154,74 @@ def suspects(objective: Objective, x: np.ndarray, jacobian: np.ndarray,
                                               for each in np.diag(sizes))]
             if all(np.all(np.abs(run) < DIVERGED) for run in runs):
                 share, white, factors = explain([run - runs[0] for run in runs[1:]], effect.low)
-                of_trials.append((share, white, np.maximum(factors, effect.low) * sizes))
+                of_trials.append((share, white, np.append(
+                    np.maximum(factors, effect.low) * sizes, effect.shape)))
         if of_trials:
             tried.append((effect, *max(of_trials, key=lambda each: each[0])))
     largest = max(share for _, share, *_ in [*found, *tried])
     for effect, share, white, sizes in tried:
         # What is all or nothing has no first order.
-        if share > _WORTHWHILE * largest or effect.low == 1.0:
-            rest, fitted, count = _fit(objective, x, effect, sizes)
+        if not most and (share > _WORTHWHILE * largest or effect.low == 1.0):
+            at, fitted = _fit(objective, x, effect, sizes)
+            rest = _with_effect(objective, x, effect, fitted).residuals(at)
+            rest *= objective.weights(rest)
             # As Schwarz's criterion (BIC) weighs further parameters.
+            count = len(fitted) * (effect.low < 1.0)
             left_over = (rest @ rest) * len(rest)**(count / len(rest))
             explained = float(1.0 - left_over / (residuals @ residuals))
             # Where friction turns, runs bend, and a fit may end where it begins.
             if explained > share:
                 share, white, sizes = explained, is_white(rest), fitted
-        found.append(Suspect(effect.name, share, white, effect.advice.format(sizes[0])))
-    return sorted((each for each in found if each.share), key=lambda each: -each.share)
+        trials.append((effect, sizes))
+        found.append(Suspect(effect.name, share, white, effect.advice.format(sizes[0]),
+                             free=effect.free))
+    places = sorted(range(len(found)), key=lambda place: -found[place].share)
+    named = [*map(found.index, _likely([found[place] for place in places]))]
+    for rank, place in enumerate(places):
+        effect, sizes = trials[place - 1]
+        # The first place is the resonance. Tilted planes explain a little of anything.
+        if place and (place in named if not most else effect.free[:1] != ('gravity[0]',) and (
+                rank < most or effect.bends)):
+            error = error or predict(objective, x)[0]
+            with_it, sizes = predict(objective, x, effect, sizes)
+            found[place] = found[place]._replace(
+                ratio=with_it / error, change=partial(_change, effect.change, sizes))
+    # What explains as much as another comes after it if it predicts less.
+    return sorted((each for each in found if each.share),
+                  key=lambda each: (-round(each.share, 2), each.ratio))
+
+
+def _change(change, sizes, values):
+    return change(values, *sizes)
+
+
+def predict(objective: Objective, x: np.ndarray, effect: _Effect | None = None,
+            sizes: Any = ()) -> tuple[float, np.ndarray]:
+    """
+    Return the error of the last third of the records, and sizes, of a fit to the rest, near x.
+
+    It is the geometric mean of rms errors of outputs, each over its spread.
+    """
+    part, terms = copy(objective), []
+    part.ends = [_INNER * end for end in objective.ends]
+    x, fitted = _fit(part, x, effect, sizes)
+    whole = _with_effect(objective, x, effect, fitted) if effect else objective
+    for (k, name, measured), rows in zip(objective.series(), whole.split(whole.residuals(x))):
+        late = objective.problems[k].record.outputs[name].t[:len(rows)] > part.ends[k]
+        size = (objective.deviations[k][name] / (np.std(measured) or 1.0))**2
+        terms.append(np.log(np.mean(rows[late]**2) * size + _FINE**2))
+    return float(np.exp(0.5 * np.mean(terms))), fitted
 
 
 def _fit(objective, x, effect, sizes):
-    """Return residuals, (n,), of a fit with an effect, its arguments, and how many are free."""
-    count, first = len(x), np.append(sizes, effect.shape)
-    start = np.ones(len(first) * (effect.low < 1.0))  # factors of the arguments
+    """Return x and the arguments of an effect, or of none, of a fit with it."""
+    count, first = len(x), np.asarray(sizes)
+    start = np.ones(len(first) * (effect is not None and effect.low < 1.0))  # their factors
 
     @lru_cache(maxsize=1)
     def changed(*factors):
-        return _with_effect(objective, x, effect, np.array(factors) * first if factors else first)
+        return objective if effect is None else _with_effect(
+            objective, x, effect, np.array(factors) * first if factors else first)
 
     def residuals(z):
         return changed(*z[count:]).residuals(z[:count])
@@ -173,40 +232,28 @@ def _fit(objective, x, effect, sizes):
             residuals(np.append(z[:count], z[count:] + shift)) for shift in shifts]),
             _STEP * start, 1).slope])
 
-    low = np.where(np.arange(len(start)) < len(sizes), effect.low, 0.0)
+    low = np.zeros(len(start))
+    low[:len(start) - len(effect.shape if effect else ())] = effect.low if effect else 0.0
     z = least_squares(
         residuals, np.append(x, start), jacobian,
         (np.append(objective.low, low), np.append(objective.high, np.inf * start)),
         x_scale='jac', loss=objective.loss, ftol=_TOLERANCE, max_nfev=_MAX_RUNS).x
-    rest = residuals(z)
-    return (rest * objective.weights(rest),
-            z[count:] * first if len(start) else first, len(start))
+    return z[:count], z[count:] * first if len(start) else first
+
+
+def _likely(found):
+    """Return those of some Suspects, that of the largest share first, that may be the one."""
+    return [each for each in found if 1.0 - each.share <= _ALIKE * (1.0 - found[0].share) and (
+        each.share > _MIN_SHARE or each.white and each.share > _MIN_SHARE_WHITE)]
 
 
 def name_suspects(found: list[Suspect]) -> Iterator[str]:
-    """Yield a text that names the likely ones of some Suspects, if there are any."""
-    likely = [each for each in found if 1.0 - each.share <= _ALIKE * (1.0 - found[0].share) and (
-        each.share > _MIN_SHARE or each.white and each.share > _MIN_SHARE_WHITE)]
+    """Yield a text that names the likely Suspects that predict better."""
+    likely = [each for each in _likely(found) if each.ratio < BETTER]
     if likely:
         yield 'the residuals look like ' + ', or '.join(
             f'{each.name} ({100.0 * each.share:.0f} % of their squares: {each.advice})'
             for each in likely)
-
-
-def _signs(objective):
-    """Yield Suspects of wrong signs, by the correlation with the run of the first guess."""
-    for problem, against, deviations in zip(
-            objective.problems, objective.against, objective.deviations):
-        shares = {name: 1.0 - (1.0 - correlation**2) * np.var(
-            problem.record.outputs[name].values) / deviations[name]**2
-            for name, correlation in against.items() if correlation < _ANTICORRELATED}
-        if len(shares) == len(deviations):  # one wrong sign is more likely than several
-            least = min(shares.values())
-            shares = {**dict.fromkeys(problem.record.inputs, least), **(
-                shares if len(shares) == 1 else {})}
-        for name, share in shares.items():
-            yield Suspect(f'the sign of {name}', max(share, 0.0), False,
-                          'scale: -1 in the mapping')
 
 
 def _effects(objective: Objective, x: np.ndarray) -> Iterator[_Effect]:
@@ -225,56 +272,68 @@ def _effects(objective: Objective, x: np.ndarray) -> Iterator[_Effect]:
         if force and not own[name]:
             yield _Effect(
                 f'dry friction of the {body}', f'set {name} to about {{:.2g}}, and free it',
-                lambda _, size, name=name: {name: size}, [[part * force] for part in _FRICTION])
+                lambda _, size, name=name: {name: size}, [[part * force] for part in _FRICTION],
+                free=[name])
         elif force and rest not in values:
             yield _Effect(
                 f'another friction of the {body} near rest', f'set {rest}, and free it',
                 lambda own, size, name=rest: {
                     name: own[name] * np.exp(np.clip(size, *_FACTORS)) or size},
-                *([[[1.0]], both] if own[rest] else [[[part * speed] for part in _REST]]))
+                [[1.0]] if own[rest] else [[part * speed] for part in _REST],
+                both if own[rest] else 0.0, free=[rest])
         if own[name] and own[rest] and not own[way := f'{body}.coulomb_presliding']:
             yield _Effect(
                 name=f'presliding of the {body}, which rests as on a spring',
                 advice=f'set {way} to about {{:.2g}} and {body}.coulomb_static to 0.5, and free '
                        'both', change=lambda _, size, part=0.5, name=way: {
                            name: size, name.replace('presliding', 'static'): part} if size else {},
-                trials=[[_PRESLIDING * own[rest]]], low=_LEAST, shape=[0.5])
+                trials=[[part * own[rest]] for part in _PRESLIDING], low=_LEAST, shape=[0.5],
+                free=[way, f'{body}.coulomb_static'], bends=True)
     for name in (name for name in PARAMETERS if name.endswith('.coulomb_asymmetry')):
         if own[name.replace('asymmetry', 'friction')] and not own[name]:
             yield _Effect('friction that depends on the direction',
                           f'set {name}, and free it',
                           lambda _, size, name=name: {name: np.clip(size, -_MOST, _MOST)},
-                          [[_ASYMMETRY]], both)
+                          [[_ASYMMETRY]], both, free=[name])
     if own['motor.shaft'] == 'free' and not own['motor.gear.backlash']:
         stiff = _STIFF / own['motor.shaft_inertia'] * step**2
         if not own['motor.gear.stiffness']:
             yield _Effect('an elastic gear', 'set motor.gear.stiffness and motor.rotor.inertia, '
-                          'and free them', _gear, [[stiff]], shape=[0.1, 1.0])
+                          'and free them', _gear, [[stiff]], shape=[0.1, 1.0], free=_GEAR,
+                          bends=True)
         yield _Effect(
             'backlash of the gear', 'set motor.gear.backlash to about {:.2g}',
             lambda own, size: {**({} if own['motor.gear.stiffness'] else _gear(own, stiff)),
-                               'motor.gear.backlash': size}, [[play] for play in _BACKLASH])
+                               'motor.gear.backlash': size}, [[play] for play in _BACKLASH],
+            free=['motor.gear.backlash', *([] if own['motor.gear.stiffness'] else _GEAR)])
     if not any(own['gravity']):
         yield _Effect('gravity, as of a tilted plane', 'free gravity[0] and gravity[1]',
                       lambda _, x, y: {'gravity[0]': x, 'gravity[1]': y},
-                      [[size, size] for size in _GRAVITY], both)
+                      [[size, size] for size in _GRAVITY], both, free=('gravity[0]', 'gravity[1]'))
     late = {name for name in problem.record.outputs if f'{name}.delay' in values}
-    for name in (*problem.record.inputs, *problem.record.outputs):
+    for name, channel in {**problem.record.inputs, **problem.record.outputs}.items():
         # Delays of all outputs are those of the input.
-        if f'{name}.delay' not in values and late < {*problem.record.outputs}:
-            yield _Effect(f'a delay of {name}', f'free {name}.delay, about {{:.2g}} s',
-                          lambda _, size, name=f'{name}.delay': {name: size},
-                          [[count * step] for count in _DELAYS])
-    for name, channel in problem.record.outputs.items():
-        if f'{name}.bias' not in values:
-            yield _Effect(f'an offset of {name}', f'free {name}.bias, about {{:.2g}}',
-                          lambda _, size, name=f'{name}.bias': {name: size},
-                          [[np.std(channel.values)]], both)
+        for kind, advice, trials, low in (
+                ('delay', 'a delay of', [[count * step] for count in _DELAYS], 0.0),
+                ('lag', 'a lag of', [[count * step] for count in _DELAYS], 0.0),
+                ('bias', 'an offset of', [[np.std(channel.values) or 1.0]], both)):
+            late_by = f'{name}.{kind}'
+            if late_by not in values and name != DRIVE and (
+                    kind == 'bias' or late < {*problem.record.outputs}):
+                yield _Effect(f'{advice} {name}', f'free {late_by}, about {{:.2g}}',
+                              lambda _, size, name=late_by: {name: size}, trials, low,
+                              free=[late_by])
+    if 'initial.modal_coordinates[0]' not in values and own['model.modes']:
+        first = initial_scale('initial.modal_coordinates[0]', problem.scene)
+        yield _Effect(
+            'an arm that moves at the beginning', 'free initial.modal_coordinates[0] and '
+            'initial.modal_rates[0]', lambda _, *both: dict(zip(_MOVING, both)),
+            [[first, initial_scale('initial.modal_rates[0]', problem.scene)]], both, free=_MOVING)
     if own['motor.shaft'] == 'free' and 'initial.shaft' not in values:
         yield _Effect('another angle of the shaft at the beginning',
                       f'free initial.shaft, about {own["initial.shaft"]:.2g} + {{:.2g}} rad',
                       lambda own, size: {'initial.shaft': own['initial.shaft'] + size},
-                      [[0.1]], both)
+                      [[0.1]], both, free=['initial.shaft'])
     for each in INPUTS:
         if each.name in problem.record.inputs and each.limit and not np.isfinite(own[each.limit]):
             most = np.abs(problem.record.inputs[each.name].values).max()

@@ -260,7 +260,7 @@ MATERIALS = {'acrylic': (1180.0, 3.1e9, 0.37), 'aluminium': (2700.0, 70e9, 0.33)
              'brass': (8500.0, 105e9, 0.34), 'pla': (1240.0, 3.3e9, 0.36),
              'stainless_steel': (7900.0, 195e9, 0.29), 'steel': (7850.0, 210e9, 0.30),
              'titanium': (4430.0, 114e9, 0.34)}
-_OF_MATERIAL = 'arm.density', 'arm.young_modulus', 'arm.shear_modulus'
+OF_MATERIAL = 'arm.density', 'arm.young_modulus', 'arm.shear_modulus'
 _SENSOR_TOPICS = [output.name for output in _OUTPUTS if output.delay]
 
 _ALL = [
@@ -496,7 +496,7 @@ def check(values: Mapping[str, Any], source: str) -> dict[str, Any]:
     if checked.get('arm.material', 'none') != 'none':
         density, young, poisson = MATERIALS[checked['arm.material']]
         of_material = density, young, 0.5 * young / (1.0 + poisson)
-        checked = dict(zip(_OF_MATERIAL, of_material)) | checked
+        checked = dict(zip(OF_MATERIAL, of_material)) | checked
     return checked
 
 
@@ -641,7 +641,7 @@ def _asked_for(values):
         if shape not in ('round', 'tube'):
             yield 'arm.section.width', ', or a measured stiffness and mass per length'
         yield 'arm.section.height', ', or a measured stiffness and mass per length'
-        for name in _OF_MATERIAL:
+        for name in OF_MATERIAL:
             yield name, ', or arm.material'
     if values['motor.shaft'] != 'locked':
         yield 'motor.shaft_inertia', f' with motor.shaft = {values["motor.shaft"]}'
@@ -673,4 +673,4 @@ def changed(values: Mapping[str, Any]) -> dict[str, Any]:
     """Return the values that differ from their defaults, or from those of the material."""
     named = values.get('arm.material', 'none') != 'none'
     return {name: value for name, value in values.items()
-            if value != PARAMETERS[name].default or named and name in _OF_MATERIAL}
+            if value != PARAMETERS[name].default or named and name in OF_MATERIAL}

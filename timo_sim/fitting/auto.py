@@ -1,0 +1,118 @@
+# Copyright 2026 The timo_sim authors
+# SPDX-License-Identifier: Apache-2.0
+
+"""Which effects a scene shall have: the first suspects are tried, and that which predicts best."""
+
+from __future__ import annotations
+
+from collections.abc import Callable
+from typing import Any, NamedTuple
+
+import numpy as np
+
+from timo_sim.fitting.objective import Objective
+from timo_sim.fitting.problem import split_guess, TimeIsUp
+from timo_sim.fitting.record import DRIVE, Record
+from timo_sim.fitting.search import reason_of, Search
+from timo_sim.fitting.suspects import BETTER, predict, suspects
+from timo_sim.scene.bodies import motor_constants
+from timo_sim.scene.numbers import overrides_of
+from timo_sim.scene.parameters import ParameterError
+from timo_sim.scene.scene import Scene
+
+_STARTS, _SUSPECTS = 4, 6  # starts of the plain arm, suspects that are tried at a time
+_DRY, _NEAR_REST = 0.05, 0.05  # friction and its speed, of the largest torque and a usual speed
+_BODIES = {'motor': ('shaft', 'torque', 'voltage'), 'carrier': ('carrier_x', 'force_x', '')}
+_GAUGES = 'root_strain', 'tip_acceleration'  # whose gains are known roughly
+
+
+class Choice(NamedTuple):
+    """A scene, what is free in it as texts for `fit`, values by name, and how it was found."""
+
+    scene: Scene
+    free: list[str]
+    values: dict[str, float]
+    ladder: list[str]
+    stopped: BaseException | None = None
+
+
+def plain(scene: Scene, record: Record) -> tuple[Scene, list[str]]:
+    """Return a scene and what is free of it at first: arm, drive, gains, and the first angle."""
+    values, changes = scene.values, dict[str, Any]()
+    stiff = 'arm.section.bending_stiffness'
+    free = [stiff if values[stiff] else 'arm.young_modulus', 'arm.damping_ratio[0]',
+            *(f'{name}.gain' for name in record.inputs if name != DRIVE)]
+    if not any(values['arm.damping_ratio']):
+        changes['arm.damping_ratio'] = (0.01,)
+    for body, (joint, *inputs) in _BODIES.items():
+        drives = [np.abs(record.inputs[name].values).max() * (
+            motor_constants(values)[0] if name == 'voltage' else 1.0)
+            for name in inputs if name in record.inputs]
+        if joint not in record.outputs or not drives:
+            continue
+        shown = record.outputs[joint]
+        t = np.linspace(0.0, record.duration, 200)
+        speed = float(np.std(np.gradient(np.interp(t, shown.t, shown.values), t))) or 1.0
+        usual = {'viscous_friction': _DRY * max(drives) / speed,
+                 'coulomb_friction': _DRY * max(drives), 'coulomb_speed': _NEAR_REST * speed}
+        changes |= {f'{body}.{kind}': float(value) for kind, value in usual.items()
+                    if not values[f'{body}.{kind}']}
+        free += [f'{body}.{kind}' for kind in usual]
+        if body == 'motor':
+            free += ['motor.shaft_inertia', 'initial.shaft', *(
+                ['motor.dc.torque_constant~20%'] if 'voltage' in record.inputs else [])]
+    free += [f'{name}.{kind}' for name in record.outputs for kind in ('gain', 'bias')
+             if name in _GAUGES]
+    return scene.vary(changes), free
+
+
+def choose(scene: Scene, free: list[str], objective_of: Callable[[Scene, list[str]], Objective],
+           say: Callable[[str], object], keep: Callable[[Scene, str], object],
+           deadline: float, starts: int | None = None) -> Choice:
+    """
+    Return the Choice of effects with which the end of what is fitted is predicted best.
+
+    `keep` is called with each scene that is the best so far, and the values found.
+    """
+    best, trial, line = Choice(scene, free, {}, []), Choice(scene, free, {}, []), ''
+    try:
+        while True:
+            objective = objective_of(trial.scene, trial.free)
+            search = Search(objective, first=trial.values)
+            search.set_deadline(deadline)
+            x = search.settle(None if line else starts or _STARTS)
+            values = {free.name: free.value(at) for free, at in zip(objective.free, x)}
+            error, _ = predict(objective, x)
+            ladder = [*trial.ladder, f'{line or "the plain arm"}: {error:.2%}']
+            say(f'error of the end of what is fitted, which was held out, {ladder[-1]}')
+            best = trial = Choice(
+                objective.problems[0].scene_of(objective.values(x, 0)),
+                [*{each.name: each.text for problem in objective.problems
+                   for each in problem.free}.values()], values, ladder)
+            keep(best.scene, str(values))
+            found = [each for each in suspects(
+                objective, x, *search.weighted(x), _SUSPECTS, error) if each.change]
+            tried = [f'    with {each.name}: {each.ratio * error:.2%}' for each in found]
+            say('\n'.join(['tried', *tried]))
+            best = best._replace(ladder=[*ladder, *tried])
+            first = min(found, key=lambda each: each.ratio, default=None)
+            if first is None or not first.change or not first.ratio < BETTER:
+                return best
+            line, own = first.name, {**best.scene.values, **values}
+            changes: dict[str, Any] = first.change(own)
+            scene = best.scene.vary(overrides_of({
+                name: value for name, value in changes.items()
+                if name.partition('[')[0] in own}, best.scene))
+            moved = 'motor.rotor.inertia' in changes
+            names = [split_guess(each)[0] for each in best.free]
+            trial = best._replace(scene=scene, values={**values, **changes}, free=[
+                name.replace('motor.', 'motor.rotor.')
+                if moved and name.startswith('motor.coulomb_') else each
+                for name, each in zip(names, best.free)] + [
+                    name for name in first.free if name not in names])
+    except (KeyboardInterrupt, TimeIsUp) as stop:
+        say(f'no more effects are tried: {reason_of(stop)}')
+        return best._replace(stopped=stop)
+    except (ArithmeticError, ParameterError) as error:
+        say(f'no more effects are tried: {error}')
+        return best
