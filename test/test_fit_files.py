@@ -418,6 +418,8 @@ BAD_ARGUMENTS = [
     (['--free', 'arm.length', '--bounds', 'arm.length=a:b'], '--bounds takes NAME=LOW:HIGH'),
     (['--free', 'arm.length', '--bounds', 'arm.length'], '--bounds takes NAME=LOW:HIGH'),
     (['--free', 'arm.length', '--scene', 'papre'], 'did you mean paper'),
+    (['--free', 'arm.length=0.1:0.2', '--scene', 'paper'], 'must be NAME, NAME=VALUE'),
+    (['--scene', 'paper'], 'at least one free parameter'),
     (['--free', 'arm.lenght', '--scene', 'paper'], 'did you mean arm.length'),
     (['--free', 'arm.length'], 'scene must be given with'),
     (['--free', 'arm.length', 'gone.csv', '--scene', 'paper'], 'gone.csv'),

@@ -15,7 +15,6 @@ from typing import Any, NamedTuple, TYPE_CHECKING
 
 import numpy as np
 
-from timo_sim.extras import optional
 from timo_sim.fitting.auto import choose, plain
 from timo_sim.fitting.logs import read_log
 from timo_sim.fitting.look import begin_with, look, noise_of
@@ -36,6 +35,7 @@ from timo_sim.scene.parameters import (
     checked, FLAG, FUNCTION, MAPPING, Parameter, ParameterError, PATH, short, TEXTS, warn, WHOLE)
 from timo_sim.scene.scene import load_scene, Scene, SceneLike
 from timo_sim.simulation.finer import refine
+from timo_sim.view.fit import draw_fit
 
 if TYPE_CHECKING:
     from matplotlib.figure import Figure
@@ -128,55 +128,7 @@ class Prediction:
 
     def plot(self) -> Figure:
         """Draw measured and predicted outputs, and their difference; needs matplotlib."""
-        return _draw([self])
-
-
-def _draw(predictions):
-    """Draw records in columns, whose rows are inputs and outputs; what was held out is grey."""
-    with optional():
-        from matplotlib.figure import Figure
-
-        from timo_sim.view.plot import COLOURS
-    inputs, outputs = ([*dict.fromkeys(
-        name for each in predictions for name in getattr(each.record, kind))]
-        for kind in ('inputs', 'outputs'))
-    rows, count = [*inputs, *outputs], len(predictions)
-    figure = Figure(figsize=(max(12, 8 * count), 1.0 + 2.2 * len(rows)), layout='constrained')
-    every = figure.subplots(len(rows), count, sharex='col', sharey='row', squeeze=False,
-                            height_ratios=[0.6] * len(inputs) + [1.0] * len(outputs))
-    for number, (prediction, column) in enumerate(zip(predictions, every.T), 1):
-        record = prediction.record
-        for axes, name in zip(column, rows):
-            channel = {**record.inputs, **record.outputs}.get(name)
-            title = f'record {number}, {record.source}' if count > 1 and axes is column[0] else ''
-            axes.set_title(title, loc='left', fontsize='small')
-            axes.grid(alpha=0.3)
-            if prediction.until < record.duration:
-                axes.axvspan(prediction.until, record.duration, color='0.93', zorder=0)
-            if number == 1:
-                label = 'tip deflection' if name == 'tip_transverse' else name.replace('_', ' ')
-                axes.set_ylabel(f'{label} [{unit_of(name)}]' if unit_of(name) else label)
-            if channel is None:
-                continue
-            if name in record.inputs:
-                axes.plot(channel.t, channel.values, color='0.4', linewidth=1.0,
-                          drawstyle='steps-post' if channel.hold == 'zero' else 'default')
-                continue
-            axes.plot(channel.t, channel.values, color=COLOURS[0], label='measured', linewidth=2.0)
-            if name in prediction.predicted:
-                shown = prediction.predicted[name]
-                axes.plot(channel.t, shown, color=COLOURS[1], linewidth=1.2, label='predicted')
-                axes.plot(channel.t, channel.values - shown, color=COLOURS[2], linewidth=0.8,
-                          label='difference')
-            each = prediction.errors[name]
-            text = 'R² = ' + ', '.join(f'{value:.3f} {part}' for value, part in (
-                (each.r_squared, 'fitted'), (each.hold_out_r_squared, 'held out'))
-                if np.isfinite(value))
-            axes.legend(fontsize='small', ncols=3, frameon=False, loc='lower right',
-                        bbox_to_anchor=(1.0, 1.0), borderaxespad=0.0)
-            axes.set_title(f'{title}\n{text}'.strip(), loc='left', fontsize='small')
-        column[-1].set(xlabel='time [s]', xlim=(0.0, record.duration))
-    return figure
+        return draw_fit([self], unit_of)
 
 
 @dataclass(frozen=True, repr=False)
@@ -253,7 +205,7 @@ class Fit(Prediction):
         """Draw `Prediction.plot` of all records, side by side."""
         every = [self, *self.more]
         in_time = [each for each in every if not isinstance(each.record, Response)]
-        return _draw(in_time) if in_time else draw_responses(every)
+        return draw_fit(in_time, unit_of) if in_time else draw_responses(every)
 
     def report(self) -> str:
         """Return estimates, errors and doubts as a text."""

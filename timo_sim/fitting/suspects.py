@@ -8,8 +8,8 @@ A run of the fitted scene with some of an effect, less that without, is the dire
 effect moves the residuals. What a change of the free parameters would do as well is taken out; the
 share of the squares of the residuals along the rest is what the effect would explain, to first
 order. Effects whose share is close to the largest are then fitted, together with the free
-parameters: what these explain is what the squares have fallen by. Last, the likely ones are fitted
-to two thirds of what is fitted, and must predict the rest better than a fit without them.
+parameters, to two thirds of what is fitted: their share is that by which the squares of the rest,
+which they predict, are less than without them.
 """
 
 from __future__ import annotations
@@ -25,7 +25,7 @@ from scipy.optimize import least_squares
 from scipy.signal import lfilter
 
 from timo_sim.fitting.objective import Objective
-from timo_sim.fitting.problem import DIVERGED, limit_inputs, WHITE, whiteness
+from timo_sim.fitting.problem import DIVERGED, limit_inputs
 from timo_sim.fitting.record import DRIVE
 from timo_sim.model.differences import differences
 from timo_sim.model.layout import INPUTS
@@ -47,13 +47,12 @@ _BESIDE = 0.1  # relative distance of a resonance from the modes of the model
 _RESONANCES, _DAMPING = 60, 0.02  # how many frequencies are tried, and their damping ratio
 _INNER = 2.0 / 3.0  # part of what is fitted to which suspects are fitted; the rest judges them
 BETTER = 0.9  # ratio of errors there, below which a suspect predicts better
-_FINE = 0.01  # error, of the spread of an output, below which others count for more
+_FINE = 1e-3  # error, of the spread of an output, below which others count for more
 _WORTHWHILE = 0.5  # share, relative to the largest, from which on an effect is fitted
 _STEP, _TOLERANCE, _MAX_RUNS = 1e-3, 1e-3, 25  # of these fits, as of `least_squares`
 _GEAR = 'motor.rotor.inertia', 'motor.gear.stiffness', 'motor.gear.damping'
 _MOVING = 'initial.modal_coordinates[0]', 'initial.modal_rates[0]'
-_MIN_SHARE = 0.2  # share from which on a suspect is named
-_MIN_SHARE_WHITE = 0.02  # the same, if what is left would be white
+_TILTED = 'gravity[0]', 'gravity[1]'
 _ALIKE = 1.5  # ratio of what suspects leave to what the first leaves, up to which they are named
 
 
@@ -61,10 +60,9 @@ class Suspect(NamedTuple):
     """An effect that a scene may lack."""
 
     name: str
-    share: float   # of the squares of the residuals that it explains
-    white: bool    # whether the rest of the residuals would be white
+    share: float   # of the squares of the residuals that it explains, or predicts if it was fitted
     advice: str
-    ratio: float = math.inf  # of errors with it and without, see `predict`, if it was tried
+    ratio: float = math.inf  # of errors with it and without, see `predict`, if it was fitted
     change: Callable[..., dict[str, Any]] | None = None  # of the scene, by its values
     free: Sequence[str] = ()   # what it makes free
 
@@ -109,27 +107,23 @@ def suspects(objective: Objective, x: np.ndarray, jacobian: np.ndarray,
     Return the Suspects of a fit that has ended at x, that of the largest share first.
 
     `jacobian`, (n, p), and `residuals`, (n,), are weighted ones there. The likely ones, or as many
-    as `most`, are tried; `error` is that without them, if it is known.
+    as `most`, are fitted; `error` is that without them, see `predict`, if it is known.
     """
     if np.any(np.abs(here := objective.residuals(x)) >= DIVERGED):
         return []
     (free, _), root = np.linalg.qr(jacobian), objective.weights(here)
     left = residuals - free @ (free.T @ residuals)
 
-    def is_white(rest):
-        return all(whiteness(each) >= WHITE for each in objective.split(rest))
-
     def explain(columns, low=-np.inf):
-        """Return share, whether the rest is white, and the factors of the columns."""
+        """Return the share and the factors of columns."""
         columns = np.column_stack(columns)
         columns = root[:, np.newaxis] * np.pad(
             columns, ((0, len(root) - len(columns)), (0, 0)))  # guesses are not concerned
         columns -= free @ (free.T @ columns)
         factors, *_ = np.linalg.lstsq(columns, -left, rcond=1e-9)
-        if low >= 0.0 and factors[0] < 0.0:
-            return 0.0, False, factors
         rest = left + columns @ factors
-        return float(1.0 - (rest @ rest) / (left @ left)), is_white(rest), factors
+        return (0.0 if low >= 0.0 and factors[0] < 0.0
+                else float(1.0 - (rest @ rest) / (left @ left))), factors
 
     def without(effect, sizes):
         """Return the residuals with nothing of an effect, for which mostly no run is needed."""
@@ -139,56 +133,36 @@ def suspects(objective: Objective, x: np.ndarray, jacobian: np.ndarray,
             return here
         return _with_effect(objective, x, effect, nothing).residuals(x)
 
-    share, white, frequency = max(
-        ((*explain(columns)[:2], frequency) for frequency, columns
-         in _resonances(objective, x)), default=(0.0, False, 0.0))
+    share, frequency = max(((explain(columns)[0], frequency) for frequency, columns
+                            in _resonances(objective, x)), default=(0.0, 0.0))
     found = [Suspect(
-        f'a resonance at {frequency:.3g} Hz, which no mode of the model has', share, white,
+        f'a resonance at {frequency:.3g} Hz, which no mode of the model has', share,
         'look for what vibrates beside the arm, and try other first guesses', 0.0)]
     tried: list[Any] = []
-    trials: list[tuple[_Effect, np.ndarray]] = []
     for effect in _effects(objective, x):
         of_trials = []
         for sizes in map(np.array, effect.trials):
             runs = [without(effect, sizes), *(_with_effect(objective, x, effect, each).residuals(x)
                                               for each in np.diag(sizes))]
             if all(np.all(np.abs(run) < DIVERGED) for run in runs):
-                share, white, factors = explain([run - runs[0] for run in runs[1:]], effect.low)
-                of_trials.append((share, white, np.append(
+                share, factors = explain([run - runs[0] for run in runs[1:]], effect.low)
+                of_trials.append((share, effect, np.append(
                     np.maximum(factors, effect.low) * sizes, effect.shape)))
-        if of_trials:
-            tried.append((effect, *max(of_trials, key=lambda each: each[0])))
-    largest = max(share for _, share, *_ in [*found, *tried])
-    for effect, share, white, sizes in tried:
-        # What is all or nothing has no first order.
-        if not most and (share > _WORTHWHILE * largest or effect.low == 1.0):
-            at, fitted = _fit(objective, x, effect, sizes)
-            rest = _with_effect(objective, x, effect, fitted).residuals(at)
-            rest *= objective.weights(rest)
-            # As Schwarz's criterion (BIC) weighs further parameters.
-            count = len(fitted) * (effect.low < 1.0)
-            left_over = (rest @ rest) * len(rest)**(count / len(rest))
-            explained = float(1.0 - left_over / (residuals @ residuals))
-            # Where friction turns, runs bend, and a fit may end where it begins.
-            if explained > share:
-                share, white, sizes = explained, is_white(rest), fitted
-        trials.append((effect, sizes))
-        found.append(Suspect(effect.name, share, white, effect.advice.format(sizes[0]),
-                             free=effect.free))
-    places = sorted(range(len(found)), key=lambda place: -found[place].share)
-    named = [*map(found.index, _likely([found[place] for place in places]))]
-    for rank, place in enumerate(places):
-        effect, sizes = trials[place - 1]
-        # The first place is the resonance. Tilted planes explain a little of anything.
-        if place and (place in named if not most else effect.free[:1] != ('gravity[0]',) and (
-                rank < most or effect.bends)):
+        tried += sorted(of_trials, key=lambda each: -each[0])[:1]
+    tried.sort(key=lambda each: -each[0])
+    for rank, (share, effect, sizes) in enumerate(tried):
+        # What is all or nothing has no first order. Tilted planes explain a little of anything.
+        worth = (rank < most or effect.bends) and effect.free[:1] != _TILTED[:1] if most else (
+            share > _WORTHWHILE * max(tried[0][0], found[0].share) or effect.low == 1.0)
+        suspect = Suspect(effect.name, share, '', free=effect.free)
+        if worth:
             error = error or predict(objective, x)[0]
             with_it, sizes = predict(objective, x, effect, sizes)
-            found[place] = found[place]._replace(
-                ratio=with_it / error, change=partial(_change, effect.change, sizes))
-    # What explains as much as another comes after it if it predicts less.
-    return sorted((each for each in found if each.share),
-                  key=lambda each: (-round(each.share, 2), each.ratio))
+            suspect = suspect._replace(
+                share=max(0.0, 1.0 - (with_it / error)**2), ratio=with_it / error,
+                change=partial(_change, effect.change, sizes))
+        found.append(suspect._replace(advice=effect.advice.format(sizes[0])))
+    return sorted((each for each in found if each.share), key=lambda each: -each.share)
 
 
 def _change(change, sizes, values):
@@ -241,15 +215,10 @@ def _fit(objective, x, effect, sizes):
     return z[:count], z[count:] * first if len(start) else first
 
 
-def _likely(found):
-    """Return those of some Suspects, that of the largest share first, that may be the one."""
-    return [each for each in found if 1.0 - each.share <= _ALIKE * (1.0 - found[0].share) and (
-        each.share > _MIN_SHARE or each.white and each.share > _MIN_SHARE_WHITE)]
-
-
 def name_suspects(found: list[Suspect]) -> Iterator[str]:
-    """Yield a text that names the likely Suspects that predict better."""
-    likely = [each for each in _likely(found) if each.ratio < BETTER]
+    """Yield a text that names the likely Suspects, which predict better, if there are any."""
+    better = [each for each in found if each.ratio < BETTER and each.share > 1.0 - BETTER**2]
+    likely = [each for each in better if 1.0 - each.share <= _ALIKE * (1.0 - better[0].share)]
     if likely:
         yield 'the residuals look like ' + ', or '.join(
             f'{each.name} ({100.0 * each.share:.0f} % of their squares: {each.advice})'
@@ -309,7 +278,7 @@ def _effects(objective: Objective, x: np.ndarray) -> Iterator[_Effect]:
     if not any(own['gravity']):
         yield _Effect('gravity, as of a tilted plane', 'free gravity[0] and gravity[1]',
                       lambda _, x, y: {'gravity[0]': x, 'gravity[1]': y},
-                      [[size, size] for size in _GRAVITY], both, free=('gravity[0]', 'gravity[1]'))
+                      [[size, size] for size in _GRAVITY], both, free=_TILTED)
     late = {name for name in problem.record.outputs if f'{name}.delay' in values}
     for name, channel in {**problem.record.inputs, **problem.record.outputs}.items():
         # Delays of all outputs are those of the input.
