@@ -531,6 +531,10 @@ def test_correlated_residuals_do_not_tell_what_no_residual_depends_on():
     # Nor do errors of derivatives tell two parameters, however much residuals depend on them.
     found, _ = covariance([1e12 * np.column_stack([ramp, ramp])], [random.standard_normal(500)])
     assert np.diag(found).min() > 1.0
+    # A width is all that is known of what nothing depends on; of the other it tells nothing more.
+    found, _ = covariance([np.column_stack([ramp, 0.0 * ramp])], [random.standard_normal(500)],
+                          [np.inf, 0.2])
+    assert found == pytest.approx(np.diag([1.0 / (ramp @ ramp), 0.04]), rel=1e-6, abs=1e-9)
     found, _ = covariance([np.zeros((500, 1))], [residuals])
     assert np.isfinite(found).all() and found[0, 0] > 1e6
 

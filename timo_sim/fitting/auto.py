@@ -111,8 +111,8 @@ def choose(scene: Scene, free: list[str], objective_of: Callable[[Scene, list[st
                 for name, each in zip(names, best.free)] + [
                     name for name in first.free if name not in names])
     except (KeyboardInterrupt, TimeIsUp) as stop:
-        say(f'no more effects are tried: {reason_of(stop)}')
-        return best._replace(stopped=stop)
+        best, reason = best._replace(stopped=stop), reason_of(stop)
     except (ArithmeticError, ParameterError) as error:
-        say(f'no more effects are tried: {error}')
-        return best
+        reason = str(error)
+    say(line := f'no more effects were tried: {reason}')
+    return best._replace(ladder=[*best.ladder, line])

@@ -491,6 +491,7 @@ _LAGS = 20  # of the test for whiteness
 _MAX_ORDER = 12  # largest of an autoregressive process
 _MIN_SENSITIVITY = 1e-30  # sensitivity of residuals that counts as none
 _UNKNOWN_DEVIATION = 1e3  # deviation of a combination on which residuals do not depend
+_NOTHING_KNOWN = 1e6  # most of it, which leaves others their digits
 _ROUND_OFF = 1e-9  # singular value, relative to the largest, below which it is that of noise
 # Parts of the largest in a combination, above which a parameter is named: any, or one that is
 # not identified.
@@ -552,7 +553,8 @@ def covariance(jacobians: Sequence[np.ndarray], residuals: Sequence[np.ndarray],
         parts = np.split(u, np.cumsum([len(each) for each in residuals])[:-1])
         size, axes = np.linalg.eigh(sum(map(_covariance_of_sums, parts, residuals)))
         root = root @ (axes * np.sqrt(np.maximum(size, 1.0)))
-    # (R R' )^-1 + W W' is inverted by the singular values of W' R, which keeps small ones.
+    # (R R')^-1 + W W' is inverted by the singular values of W' R, which keeps small ones.
+    root /= np.maximum(np.abs(root).max(axis=0) / _NOTHING_KNOWN, 1.0)
     _, s, vt = np.linalg.svd(root / np.reshape(widths, (-1, 1)))
     root = root @ (vt.T / np.hypot(1.0, s))
     return root @ root.T, white
