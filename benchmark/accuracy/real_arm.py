@@ -194,9 +194,9 @@ def guesses_of(names, before):
     """Return what is free, without widths: from where a Fit before ended, but for its bounds."""
     posterior = before and before.posterior
     values = posterior.objective.values(posterior.x, 0) if before else {}
-    return ['~inf', *(  # as the page shows it
+    return [*(  # as the page shows it
         f'{name}={values[name]:.5g}' if name in values and not before.estimates[name].bound
-        else name for name in names)]
+        else name for name in names), '~inf']
 
 
 def fitted(case):
