@@ -7,6 +7,7 @@ from __future__ import annotations
 
 from collections.abc import Mapping, Sequence
 from dataclasses import replace
+import math
 from typing import Any
 
 import numpy as np
@@ -138,8 +139,8 @@ class Observer(Stateful, PointsOfArm):
             shown=np.zeros(readings), expected=np.zeros(readings),
             slope=np.zeros((readings, count)), normalised=np.zeros(readings),
             joint=room, lower=room))
-        self._go_on, self._faded = predict.of(self._known), None
-        self._corrected: tuple[Any, Any] = None, None
+        self._go_on, self._faded = predict.of(self._known), math.nan
+        self._corrected: tuple[Any, Any] = None, None  # the model of `correct`, and its call
         self.simulator = Simulator(scene)
         self.innovation = self.normalised_innovation = np.zeros(0)
         self._square, self.warning = 1.0, self.simulator.warning

@@ -61,7 +61,8 @@ class ObserverNode(ParameterNode):
         self._observer, self._begun = self._begin(), False
         self._observer.simulator.warm_up(self.get_logger().info, messages=True)
         with telling(self.get_logger().info):  # `_start` makes a new observer
-            self._observer.update({}, dt=scene.step)
+            self._observer.update({name: self._observer.expected(name).tolist()
+                                   for name in self._observer.sensors}, dt=scene.step)
         self._stamps: dict[str, int] = {}  # of the last measurement used, by topic [ns]
         self._count = dict.fromkeys(('used', 'repeated', 'late', 'refused', 'begun again'), 0)
         self._commands = Commands(self, values['motor.dc.resistance'] > 0.0, frames)
