@@ -3,6 +3,7 @@
 
 """Constants of an exported arm, from a scene; what cannot be exported is refused here by name."""
 
+from itertools import pairwise
 from typing import NamedTuple
 
 import numpy as np
@@ -12,6 +13,7 @@ from timo_sim.model.layout import INPUTS
 from timo_sim.scene.parameters import ParameterError, PARAMETERS
 from timo_sim.scene.scene import Scene
 from timo_sim.simulation.finer import choose_parts
+from timo_sim.simulation.loads import added_load, tip_of
 from timo_sim.simulation.simulator import MOST_BENT, Simulator
 
 
@@ -56,8 +58,6 @@ def refuse(scene: Scene, estimate: bool) -> None:
 
     check(values['model.accuracy'] > 0.0, 'model.accuracy', '0',
           'state model.modes and integrator.step')
-    check(scene.payloads and values['end_effector.pick_up'] == 'at_rest', 'end_effector.pick_up',
-          'moving', 'the C code has no plastic impact')
     check(scene.build().sectors and values['model.axial_modes'], 'model.axial_modes',
           '0 with one axis held and a shaft that turns',
           'the linear parts would take tens of megabytes')
@@ -124,6 +124,8 @@ def _limits(inputs, values):
 def plant_of(simulator: Simulator) -> Plant:
     """Return the constants of a model and its start."""
     scene, model = simulator.scene, simulator.model
+    tips = [tip_of(scene), *(tip for _, *tip in scene.payloads)]
+    rested = scene.values['end_effector.pick_up'] == 'at_rest'
     return Plant(
         step=scene.step, length=model.tip_point.lever[0],
         most_bent=MOST_BENT * model.manipulator.arm.length, travel=model.tip_travel[3:],
@@ -131,4 +133,5 @@ def plant_of(simulator: Simulator) -> Plant:
         gravity=model.gravity, linear=model.linear,
         start=model.state(scene.initial_motion(model)), first_load=simulator.load,
         first_friction=simulator.integration.memory.copy(),
-        changes=np.array([step for step, *_ in scene.payloads], dtype=np.int64))
+        changes=np.array([step for step, *_ in scene.payloads], dtype=np.int64),
+        added=rested * np.reshape([added_load(*each) for each in pairwise(tips)], (-1, 3)))

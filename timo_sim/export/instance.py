@@ -93,6 +93,7 @@ class Plant(NamedTuple):
     first_load: Annotated[np.ndarray, LOADS]  # the scene's own at its beginning
     first_friction: Annotated[np.ndarray, MEMORY]  # what the first step begins with
     changes: Annotated[np.ndarray, int, 'changes']  # steps before which the load at the tip does
+    added: Annotated[np.ndarray, 'changes', 3]  # what each picks up at rest, see `impact`
 
 
 @entry_point(plant=Constants(), actuators=Constants(), instance=Constants())
@@ -185,6 +186,14 @@ def tip_is_due(plant, instance):
     return 1 if due else 0
 
 
+@entry_point(plant=Constants(), instance=Constants(), added=Array((3,)))
+def change_tip(plant, instance, added):
+    """Note the change of the load at the tip; return whether something is `added` at rest."""
+    copy(plant.added[instance.mark[TIP]], added)
+    instance.mark[TIP] += 1
+    return 1 if added[0] != 0.0 or added[1] != 0.0 else 0
+
+
 @entry_point(tables=Constants(), instance=Constants())
 def take_motion(tables, instance):
     """Go on from the motion, with the present load at the tip."""
@@ -211,6 +220,7 @@ def finish(plant, instance, done):
     if done != 1 or not bend <= plant.most_bent:
         copy(instance.before, instance.state)
         copy(instance.friction_before, instance.friction)
+        instance.mark[KNOWN] = 0
         _find_tip(plant, instance)
         return _DIVERGED
     instance.mark[STEPS] += 1

@@ -22,6 +22,7 @@ from timo_sim.export.constants import Interface, plant_of
 from timo_sim.export.instance import Code, Instance, KNOWN, LOST, MAGIC, PART, SAVED, TIP
 from timo_sim.model.functions import tips
 from timo_sim.model.layout import LOADS, STEP_LOADS
+from timo_sim.model.statics import impact
 from timo_sim.simulation.derivatives import unit_loads_of
 from timo_sim.simulation.loads import Actuators, tip_of
 from timo_sim.steps.bristles import MEMORY
@@ -269,8 +270,10 @@ class _Body:
         due = self.call(model, instance, steps.tip_is_due)
         with self.builder.if_then(self.equal(due, 1)):
             self.emit_advance(model, instance, 0, 1)  # writes the motion
-            following = self.builder.add(self.read_mark(instance, TIP), self.word(1))
-            self.builder.store(following, self.mark(instance, TIP))
+            added, motion = (self.field(model, instance, name) for name in ('place', 'motion'))
+            rested = self.call(model, instance, steps.change_tip, added)
+            with self.builder.if_then(self.equal(rested, 1)):
+                self.call(model, instance, impact, added, motion)
             self.call(model, instance, steps.take_motion)
 
     def define_model_step(self, model):

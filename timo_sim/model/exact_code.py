@@ -19,7 +19,7 @@ import numpy as np
 
 from timo_sim.compiled.constants import local_arrays
 from timo_sim.compiled.functions import (
-    as_vectors, chain, declare, floor, inner, local, some, sum_of, value_of, where,
+    as_vectors, chain, declare, floor, inner, local, some, strict, sum_of, value_of, where,
     with_derivatives, without_derivatives)
 from timo_sim.model import functions
 from timo_sim.model.functions import DRAG, PER_COORDINATE, sincos
@@ -522,15 +522,13 @@ def _observe(tables, state, load, out):
         out[half + axis] = carrier_speed(tables, state, k, derivative, work.speed)
 
 
-@functions.state_of.of(Tables, fast=False)
-def _state_of(tables, motion, out):
-    """Write mass centre, coordinates, P (T27) and M q' = Xi q' + C1 K a' + C2 K b', or rates."""
-    numbers = local_arrays(Work, tables)
-    work, kernel, to_centre = (as_vectors(numbers), as_vectors(tables.kernel),
-                               as_vectors(tables.to_centre))
-    speed, a, b, g1, g2 = work.speed, work.image_1[0], work.image_2[0], work.g1, work.g2
+@strict
+def _set_momenta(tables, motion, numbers, work, out):
+    """Write P (T27) and M q' = Xi q' + C1 K a' + C2 K b'; set slopes."""
+    kernel, speed = as_vectors(tables.kernel), work.speed
+    a, b, g1, g2 = work.image_1[0], work.image_2[0], work.g1, work.g2
     count, nodes = work.c1.shape
-    driven, axes, half = count - len(tables.straight), len(tables.axes), len(motion) // 2
+    half = len(motion) // 2
     for i in range(count):
         work.coordinate[i], speed[i] = motion[2 + i], motion[half + 2 + i]
     _set_slopes(tables, work)
@@ -545,27 +543,59 @@ def _state_of(tables, motion, out):
             total_1 += numbers.image_1[0, k] * kernel[0, k, j]
             total_2 += numbers.image_2[0, k] * kernel[len(kernel) - 1, k, j]
         g1[j], g2[j] = total_1, total_2
+    out[0], out[1] = 0.0, 0.0
+    for k in range(len(tables.axes)):
+        axis = tables.axes[k]
+        out[axis] = tables.mass * (
+            motion[half + axis] + _of_centre(tables, a if axis == 0 else b))
+    for i in range(count):
+        product = 0.0
+        for j in range(nodes):
+            product += work.c1[i, j] * g1[j] + work.c2[i, j] * g2[j]
+        out[2 + i] = sum_of(product, tables.to_centre)
+        for j in range(count):
+            out[2 + i] += tables.rotary[i, j] * speed[j]
+
+
+@strict
+def _of_centre(tables, slope):
+    """Return the mass centre's distance from the carrier by slopes, its speed by their rates."""
+    to_centre, total = as_vectors(tables.to_centre), 0.0
+    for j in range(len(to_centre)):
+        total += to_centre[j] * slope[j]
+    return sum_of(total, tables.to_centre)
+
+
+@functions.state_of.of(Tables, fast=False)
+def _state_of(tables, motion, out):
+    """Write mass centre (T25) and coordinates, then their momenta, or rates of the last (T35)."""
+    numbers, momenta = local_arrays(Work, tables), local((motion,))
+    work = as_vectors(numbers)
+    _set_momenta(tables, motion, numbers, work, momenta)
+    count, axes, half = len(tables.rotation), len(tables.axes), half_length(tables)
+    driven = count - len(tables.straight)
     for k in range(axes):
         axis = tables.axes[k]
-        slope, rate = (work.a, a) if axis == 0 else (work.b, b)
-        centre, speed_of_centre = 0.0, 0.0
-        for j in range(nodes):
-            centre += to_centre[j] * slope[j]
-            speed_of_centre += to_centre[j] * rate[j]
-        out[k] = motion[axis] + sum_of(centre, tables.to_centre)
-        out[half_length(tables) + k] = tables.mass * (
-            motion[half + axis] + sum_of(speed_of_centre, tables.to_centre))
+        out[k] = motion[axis] + _of_centre(tables, work.a if axis == 0 else work.b)
+        out[half + k] = momenta[axis]
     for i in range(driven, count):
         place = axes + i - driven
-        out[place], out[half_length(tables) + place] = motion[2 + i], motion[half + 2 + i]
-        if i < count - len(tables.linear_rate):
-            product = 0.0
-            for j in range(nodes):
-                product += work.c1[i, j] * g1[j] + work.c2[i, j] * g2[j]
-            total = sum_of(product, tables.to_centre)
-            for j in range(count):
-                total += tables.rotary[i, j] * speed[j]
-            out[half_length(tables) + place] = total
+        out[place], out[half + place] = motion[2 + i], momenta[2 + i]
+        if i >= count - len(tables.linear_rate):
+            out[half + place] = work.speed[i]
+
+
+@functions.momenta.of(Tables, fast=False)
+def _momenta(tables, motion, out):
+    """Write momenta; those about the mass centre get the share of P."""
+    numbers = local_arrays(Work, tables)
+    work = as_vectors(numbers)
+    _set_momenta(tables, motion, numbers, work, out)
+    for k in range(len(tables.axes)):
+        axis = tables.axes[k]
+        derivative = work.c1 if axis == 0 else work.c2
+        for i in range(len(tables.rotation)):
+            out[2 + i] += out[axis] * _of_centre(tables, derivative[i])
 
 
 @functions.joint_place.of(Tables, merge=True)

@@ -43,6 +43,11 @@ def state_of(tables, motion, out):
 
 
 @declare
+def momenta(tables, motion, out):
+    """Write the momenta of all coordinates, (3 + N,); of those that are held anything."""
+
+
+@declare
 def joint_place(tables, state, load, joint):
     """Return the place of a joint: carrier x, y, rotor (the shaft of a rigid gear), shaft."""
 
@@ -317,7 +322,7 @@ def accelerate(tables, flow, motion, state, load, accelerations):
         drift[SPEED_X] += sign * load[ACCELERATION_X]
         drift[SPEED_Y] += sign * load[ACCELERATION_Y]
         observe(tables, moved, drift, room.motion)
-        tip_x, tip_y = _tip_velocity(tables, room)
+        tip_x, tip_y = tip_velocity(tables, room)
         if k:
             x, y = (tip_x - x) / (2.0 * time), (tip_y - y) / (2.0 * time)
         else:
@@ -329,7 +334,7 @@ def accelerate(tables, flow, motion, state, load, accelerations):
 
 
 @inner
-def _tip_velocity(tables, room):
+def tip_velocity(tables, room):
     """Return the velocity of the tip in world axes."""
     motion, place, speed = room.motion, room.place, room.speed
     half = len(motion) // 2

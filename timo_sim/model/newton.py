@@ -614,6 +614,31 @@ def _energy(tables, motion, gravity):
         + gravity[1] * (mass * motion[1] + sine * tables.first_moment + cosine * moment))
 
 
+@functions.momenta.of(Tables)
+def _momenta(tables, motion, out):
+    """Write the derivatives of the kinetic energy by the rates."""
+    rates, count = len(motion) // 2, len(tables.axial)
+    sine, cosine = sincos(motion[2])
+    mass, omega = tables.base_mass + tables.arm_mass, motion[rates + 2]
+    x, y = motion[rates], motion[rates + 1]
+    along, across = cosine * x + sine * y, cosine * y - sine * x
+    moment, moment_rate = 0.0, 0.0  # of the mass across the arm
+    spin = omega * tables.inertia + across * tables.first_moment
+    for n in range(count):
+        q, qdot = motion[3 + n], motion[rates + 3 + n]
+        moment += tables.moments[n] * q
+        moment_rate += tables.moments[n] * qdot
+        spin += tables.about_root[n] * qdot
+        out[3 + n] = omega * tables.about_root[n] + across * tables.moments[n]
+        for k in range(count):
+            spin += omega * q * tables.deflection_mass[n, k] * motion[3 + k]
+            out[3 + n] += tables.modal_mass[n, k] * motion[rates + 3 + k]
+    out[2] = spin - along * moment
+    along, across = (mass * along - omega * moment,
+                     mass * across + moment_rate + omega * tables.first_moment)
+    out[0], out[1] = cosine * along - sine * across, sine * along + cosine * across
+
+
 @functions.tip_rate.of(Tables)
 def _tip_rate(tables, motion, out):
     """Write the rate of the tip's place and rotation."""

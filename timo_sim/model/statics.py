@@ -3,10 +3,16 @@
 
 """The equilibrium under gravity and constant loads, and the motion after a load is picked up."""
 
+from typing import Annotated, NamedTuple
+
 import numpy as np
 
+from timo_sim.compiled.constants import local_arrays, pack
+from timo_sim.compiled.entry import entry_point
+from timo_sim.compiled.functions import Array, Constants
 from timo_sim.model.differences import differences
 from timo_sim.model.formulation import Formulation
+from timo_sim.model.functions import copy, momenta, sincos, tip_velocity
 from timo_sim.model.layout import SPEED
 
 _SHIFT = 1e-5             # half-width of differences, as a turn of the most turned section [rad]
@@ -127,27 +133,26 @@ def pick_up(model: Formulation, motion: np.ndarray, mass: float, inertia: float,
     The model has the load of this mass [kg], inertia [kg m2] and offset [m] at its tip. Returns
     the motion, shape (2 (3 + N),), and the energy [J].
     """
-    half = model.size // 2
+    half, motion_after = model.size // 2, motion.copy()
+    impact(model.packed, pack(model.root), np.array([mass, inertia, offset]), motion_after)
     matrix, tip = model.mass_matrix(motion)
     body, angle = model.manipulator, motion[2] + float(model.section_rotation(
         motion[3:half], model.tip_point)[0])
     added = _by_tip(mass, inertia, offset, angle)
     both = _by_tip(body.end_effector_mass, body.end_effector_inertia, body.end_effector_offset,
                    angle)
-    before = matrix - tip.T @ added @ tip
-    rates, free = motion[half:], np.setdiff1d(np.arange(half), np.flatnonzero(model.constrained))
-    given = np.where(np.isin(np.arange(half), free), 0.0, rates)
-    after = given.copy()
-    after[free] = np.linalg.solve(matrix[np.ix_(free, free)],
-                                  (before @ rates - matrix @ given)[free])
+    rates, after = motion[half:], motion_after[half:]
     if len(model.modes):
         velocity = tip @ rates
         lost = 0.5 * velocity @ (both - added) @ np.linalg.pinv(both) @ added @ velocity
     else:
         # A drive does work on what it moves; the rest is lost.
+        before = matrix - tip.T @ added @ tip
+        given = np.zeros(half)
+        given[:3] = np.where(model.constrained, rates[:3], 0.0)
         lost = 0.5 * (rates @ before @ rates - after @ matrix @ after) + given @ (
             matrix @ after - before @ rates)
-    return np.concatenate([motion[:half], after]), float(lost)
+    return motion_after, float(lost)
 
 
 def _by_tip(mass, inertia, offset, angle):
@@ -155,3 +160,52 @@ def _by_tip(mass, inertia, offset, angle):
     centre = np.eye(3)
     centre[:2, 2] = -offset * np.sin(angle), offset * np.cos(angle)
     return centre.T * [mass, mass, inertia] @ centre
+
+
+class _Room(NamedTuple):
+    """Work arrays: a motion, place and speed of its tip, momenta, and the mass matrix."""
+
+    motion: Annotated[np.ndarray, 'motion']
+    place: Annotated[np.ndarray, 3]
+    speed: Annotated[np.ndarray, 3]
+    kept: Annotated[np.ndarray, 'accelerations']
+    matrix: Annotated[np.ndarray, 'accelerations', 'accelerations']
+
+
+@entry_point(tables=Constants(), root=Constants(), added=Array((3,)), motion=Array(('motion',)))
+def impact(tables, root, added, motion):
+    """Set the rates after mass, inertia and offset that rested are `added`, see `pick_up`."""
+    room, half = local_arrays(_Room, tables), len(motion) // 2
+    trial, kept, matrix = room.motion, room.kept, room.matrix
+    copy(motion, trial)
+    momenta(tables, trial, kept)
+    x, y = tip_velocity(tables, room)
+    turning = motion[half + 2] + room.speed[2]
+    sine, cosine = sincos(motion[2] + room.place[2])
+    lever_x, lever_y = -added[2] * sine, added[2] * cosine
+    x, y = x + lever_x * turning, y + lever_y * turning
+    for k in range(half):
+        for i in range(half):
+            trial[half + i] = 1.0 if i == k else 0.0
+        momenta(tables, trial, matrix[k])
+        one_x, one_y = tip_velocity(tables, room)
+        turn = trial[half + 2] + room.speed[2]
+        kept[k] -= (added[0] * ((one_x + lever_x * turn) * x + (one_y + lever_y * turn) * y)
+                    + added[1] * turn * turning)
+    for k in range(3):
+        if root.constrained[k] != 0:  # its rate is given
+            for i in range(half):
+                kept[i] -= matrix[k, i] * motion[half + k]
+                matrix[k, i], matrix[i, k] = 0.0, 0.0
+            matrix[k, k], kept[k] = 1.0, motion[half + k]
+    for k in range(half):
+        for i in range(k + 1, half):
+            factor = matrix[i, k] / matrix[k, k]
+            kept[i] -= factor * kept[k]
+            for j in range(k + 1, half):
+                matrix[i, j] -= factor * matrix[k, j]
+    for k in range(half - 1, -1, -1):
+        for i in range(k + 1, half):
+            kept[k] -= matrix[k, i] * kept[i]
+        kept[k] /= matrix[k, k]
+        motion[half + k] = kept[k]

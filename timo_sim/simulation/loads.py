@@ -193,15 +193,21 @@ class TipLoad(NamedTuple):
         `scene` and `model` are those with the new load. Sections keep place and velocity, since
         the modes do; a load that is picked up from rest changes velocities, see `model.statics`.
         """
-        (mass, inertia, offset), (before, inertia_before, offset_before) = tip, self.tip
-        added, own, place = max(mass - before, 0.0), inertia - inertia_before, 0.0
-        if added:  # where it is, and its inertia about its own centre of mass
-            place = (mass * offset - before * offset_before) / added
-            own += mass * offset**2 - before * offset_before**2 - added * place**2
-        if scene.values['end_effector.pick_up'] != 'at_rest' or not (added or own > 0.0):
+        load = added_load(self.tip, tip)
+        if scene.values['end_effector.pick_up'] != 'at_rest' or not any(load[:2]):
             return self._replace(tip=tip), motion
-        motion, lost = pick_up(model, motion, added, max(own, 0.0), place)
+        motion, lost = pick_up(model, motion, *load)
         return self._replace(tip=tip, lost=self.lost + lost), motion
+
+
+def added_load(before: Sequence[float], tip: Sequence[float]) -> tuple[float, float, float]:
+    """Return mass [kg], inertia about its centre [kg m2] and offset [m] of what a tip picks up."""
+    (mass_before, inertia_before, offset_before), (mass, inertia, offset) = before, tip
+    added, own, place = max(mass - mass_before, 0.0), inertia - inertia_before, 0.0
+    if added:
+        place = (mass * offset - mass_before * offset_before) / added
+        own += mass * offset**2 - mass_before * offset_before**2 - added * place**2
+    return added, max(own, 0.0), place
 
 
 def tip_of(scene: Scene) -> tuple[float, float, float]:
