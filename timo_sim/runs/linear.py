@@ -119,12 +119,14 @@ class LinearModel:
         It is exact: `x` after a period is `A x + B u`. Raises ParameterError if the period is not
         > 0, or the model is of discrete time already.
         """
-        from scipy.signal import cont2discrete
+        from scipy.linalg import expm  # scipy.signal would take a quarter of a second to import
         if self.dt is not None:
             raise ParameterError(f'the model is of discrete time already, dt = {self.dt:g} s')
         dt = _PERIOD.check(dt)
-        a, b, c, d, _ = cont2discrete((self.A, self.B, self.C, self.D), dt, method='zoh')
-        return replace(self, A=a, B=b, C=c, D=d, dt=dt)
+        states, inputs = self.B.shape
+        a, b = np.hsplit(expm(dt * np.vstack([  # commands are further states, which stay
+            np.hstack([self.A, self.B]), np.zeros((inputs, states + inputs))]))[:states], [states])
+        return replace(self, A=a, B=b, dt=dt)
 
     @checked(frequency=NUMBERS)
     def frequency_response(self, frequency: Any) -> np.ndarray:
