@@ -64,7 +64,7 @@ def test_a_shaper_leaves_the_share_of_a_vibration_that_its_impulses_predict(scen
     for kind, shaper in (('none', None), *shapers.items()):
         def slew(t):
             return turn(t, 1.0)
-        record = in_a_loop(plant, PD(shaper.shape(slew) if shaper else slew), LONG)
+        record = in_a_loop(plant, PD(shaper.shape(slew) if shaper else slew), 2.2)
         after = record[:, 0] > 1.0 + 2.0 * np.pi / poles[0].imag + 0.2
         modes = np.exp(np.outer(record[after, 0], poles))
         fit = np.linalg.lstsq(np.hstack([modes.real, modes.imag]), record[after, 11],
