@@ -185,7 +185,7 @@ def gpu():
 @pytest.mark.cuda
 @pytest.mark.skipif(bool(gpu()), reason=gpu())
 @pytest.mark.parametrize('name', [name for name in SCENES if name not in (
-    'payload', 'one axis held', 'static mode')])
+    'payload', 'one axis held', 'limited current, static mode')])
 def test_a_gpu_gives_the_bits_of_the_cpu(name):
     """10 000 lanes of ten scenes and more, each with its own mass at the tip and commands."""
     compare(bodies(name, 1000), 100)
