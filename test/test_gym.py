@@ -98,7 +98,7 @@ def test_an_arm_that_breaks_ends_its_episode_and_the_others_go_on():
 REFUSED = [
     (dict(num_envs=0), 'num_envs must be .*>= 1 .*, got 0'),
     (dict(scene={}), 'motor.torque_limit must be finite'),
-    (dict(force=1.0), 'force must be 0 with carrier.held: both, got 1 N'),
+    (dict(force=1.0), 'force must be 0 with a carrier that is held .* x and y, got 1 N'),
     (dict(period=0.0021), 'period = 0.0021 must be a whole multiple of integrator.step'),
     (dict(duration=0.05), 'duration = 0.05 must be a whole multiple of period'),
     (dict(num_envs=2, variations=[{}]), 'variations must have num_envs = 2 elements, got 1')

@@ -16,7 +16,7 @@ import scipy.linalg
 import timo_sim
 from timo_sim.cli import main
 from timo_sim.model.bodies import Quadrature
-from timo_sim.model.layout import LOADS
+from timo_sim.model.layout import LOADS, without_unit
 from timo_sim.scene.loads import CHANNELS
 from timo_sim.simulation.simulator import Simulator
 
@@ -196,7 +196,7 @@ def test_outputs_are_derivatives_of_the_readings(name):
         'gyro_rad_per_s', 'tip_angle_rad'])
     load, simulator = scene.load_at_start(), Simulator(scene)
     assert abs(simulator.snapshot().tip[2]) > 0.3
-    columns = [CHANNELS[name.rsplit('_N', 1)[0]] for name in model.inputs]
+    columns = [CHANNELS[without_unit(name)[0]] for name in model.inputs]
     random, small = np.random.default_rng(1), 1e-5
     for _ in range(3):
         x, u = random.normal(size=len(model.A)), random.normal(size=len(columns))
@@ -294,7 +294,8 @@ def test_a_held_voltage_moves_the_simulated_arm_as_the_discrete_model():
 @pytest.mark.parametrize('values, inputs', [
     ({}, ['force_x_N', 'force_y_N', 'torque_N_m', 'tip_force_x_N', 'tip_force_y_N',
           'tip_torque_N_m']),
-    ({'carrier.held': 'both'}, ['torque_N_m', 'tip_force_y_N', 'tip_torque_N_m']),
+    ({'carrier.held': 'both'}, ['torque_N_m', 'tip_force_y_N', 'tip_torque_N_m',
+                                'carrier_acceleration_y_m_per_s2']),
     ({'carrier.held': 'y', 'motor.shaft': 'locked', 'model.modes': 0},
      ['force_x_N', 'tip_force_x_N'])])
 def test_inputs_without_effect_are_left_out(values, inputs):

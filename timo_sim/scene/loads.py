@@ -265,33 +265,34 @@ def _check_points(names, points):
                              f'last speed; got {acceleration[-1]}')
 
 
+_DRIVE = 'carrier.drive.'
+
+
 def _carrier_drive(values):
     # Terms of place, speed and acceleration of a driven carrier, by name of channel.
-    prefix, found = 'carrier.drive', {}
-    frequency, phase, time = (values[f'{prefix}.{name}'] for name in (
-        'harmonic.frequency', 'harmonic.phase', 'time'))
-    along = {axis: values[f'{prefix}.harmonic.{axis}'] for axis in 'xy'}
-    for given, names in ((time, ['x', 'y']), (frequency, ['harmonic.x', 'harmonic.y'])):
-        if given and not any(values[f'{prefix}.{name}'] for name in names):
-            raise ParameterError(f'{prefix}.{names[0]} or {names[1]} must be given with '
-                                 f'{prefix}.{"time" if given is time else "harmonic.frequency"}')
+    found: dict[str, tuple[Any, ...]] = {}
+    of = {name.removeprefix(_DRIVE): value for name, value in values.items()
+          if name.startswith(_DRIVE)}
+    for part, first, second in (('time', 'x', 'y'), ('harmonic.frequency', 'harmonic.x',
+                                                     'harmonic.y')):
+        if of[part] and not (of[first] or of[second]):
+            raise ParameterError(f'{_DRIVE}{first} or {second} must be given with {_DRIVE}{part}')
+    frequency, phase = of['harmonic.frequency'], of['harmonic.phase']
     for axis in 'xy':
-        names = [f'{prefix}.{name}' for name in (
-            'time', axis, f'{axis}_speed', f'{axis}_acceleration')]
-        shaken = along[axis]
+        names = 'time', axis, f'{axis}_speed', f'{axis}_acceleration'
         points: tuple[Any, ...] = ()
-        if any(values[name] for name in names[1:]):
-            points = tuple(same_length({name: values[name] for name in names}))
-            _check_points(names, points)
+        if any(of[name] for name in names[1:]):
+            points = same_length({_DRIVE + name: of[name] for name in names})
+            _check_points([_DRIVE + name for name in names], points)
         terms = same_length({
-            f'{prefix}.harmonic.{axis}': shaken, f'{prefix}.harmonic.frequency': frequency,
-            f'{prefix}.harmonic.phase': phase or (0.0,) * len(frequency)}) if shaken else ()
+            f'{_DRIVE}harmonic.{axis}': of[f'harmonic.{axis}'],
+            f'{_DRIVE}harmonic.frequency': frequency,
+            f'{_DRIVE}harmonic.phase': phase or (0.0,) * len(frequency),
+        }) if of[f'harmonic.{axis}'] else ()
         for order, name in enumerate(('place', 'speed', 'acceleration')):
-            parts: list[Any] = []
-            if points:
-                parts.append(Drive(points[0], points[1], points[2], points[3], order))
-            parts += [Harmonic(size * (2.0 * np.pi * each)**order, each,
-                               late + 0.5 * np.pi * order) for size, each, late in zip(*terms)]
+            parts = [*([replace(Drive(*points), order=order)] if points else ()), *(
+                Harmonic(size * (2.0 * np.pi * each)**order, each, late + 0.5 * np.pi * order)
+                for size, each, late in zip(*terms))]
             if parts:
                 found[f'carrier_{name}_{axis}'] = tuple(parts)
     return found

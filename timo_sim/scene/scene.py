@@ -107,8 +107,8 @@ class Scene:
         return outputs(self.modal_count, self.manipulator.gear is not None)
 
     @checked(tip=_TIP, first=_TIP)
-    def build(self, tip: tuple[float, ...] | None = None,
-              first: tuple[float, ...] | None = None) -> Formulation:
+    def build(self, tip: tuple[Any, ...] | None = None,
+              first: tuple[Any, ...] | None = None) -> Formulation:
         """
         Return the scene's Formulation of the equations of motion; it is made once and kept.
 
