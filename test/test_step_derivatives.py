@@ -77,7 +77,7 @@ def test_derivatives_are_those_of_three_steps(name):
     held = [k for k in range(3) if model.constrained[k]]
     expected[:, held + [size // 2 + k for k in held]] = 0.0
     steps.memory[:] = memory
-    found = step_derivatives(steps, model.state(start), load, loads, unit)
+    found, _ = step_derivatives(steps, model.state(start), load, loads, unit)
     scale = np.maximum(np.abs(expected).max(axis=1, keepdims=True), 1e-6)
     assert np.abs(found - expected).max() > 0.0
     assert (np.abs(found - expected) <= 1e-9 * scale).all()
@@ -117,11 +117,12 @@ def test_a_simulator_goes_on_as_by_step_and_has_the_derivatives_of_what_acts():
     assert first - less == pytest.approx(0.5 * found.by_input[:, 0], rel=1e-3, abs=1e-9)
 
 
-PAYLOAD = {**MOVING, 'payload.time': [0.01], 'payload.mass': [3.0], 'payload.inertia': [0.6]}
+PAYLOAD = {**MOVING, 'payload.time': [0.01], 'payload.mass': [3.0], 'payload.inertia': [0.6],
+           'carrier.coulomb_friction': 1.0, 'carrier.coulomb_presliding': 0.01}
 
 
 def test_derivatives_of_steps_in_which_a_load_is_picked_up_are_differences():
-    """They go on in the same motion with another mass."""
+    """They go on in the same motion with another mass, and with bent bristles."""
     scene = timo_sim.load_scene({}, PAYLOAD)
     start, size = timo_sim.Simulator(scene).motion.values, 1e-6
 

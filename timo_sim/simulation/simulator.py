@@ -316,16 +316,16 @@ class Simulator(Stateful, PointsOfArm):
         found, size = self.advance_with_derivatives(count, commanded, unit), self.model.size
         return StepDerivatives(found[:, :size], found[:, size:])
 
-    def advance_with_derivatives(self, count: int, commanded: np.ndarray,
-                                 unit: np.ndarray) -> np.ndarray:
+    def advance_with_derivatives(self, count: int, commanded: np.ndarray, unit: np.ndarray,
+                                 earlier: Any = None) -> np.ndarray:
         """
         Advance by `count` steps; return the derivatives of the motion at the end.
 
         `unit`, (k, LOADS), is what one of each input adds to all loads; the shape is
-        (2 (3 + N), 2 (3 + N) + k), see `step_derivatives`.
+        (2 (3 + N), 2 (3 + N) + k), see `step_derivatives`, also for `earlier`.
         """
         with self._lock:
-            first, size = self.steps - self._origin, self.model.size
+            first = self.steps - self._origin
             if self._next_tip < first + count:
                 if self.scene.values['end_effector.pick_up'] == 'at_rest':
                     raise ParameterError(
@@ -334,13 +334,12 @@ class Simulator(Stateful, PointsOfArm):
                 self._change_tip(first)  # if it is due; the motion stays
             part = min(count, self._next_tip - first)
             loads = self._table.stages(first, part, commanded)
-            found = step_derivatives(self.integration, self._state, self._load, loads, unit)
+            found = step_derivatives(
+                self.integration, self._state, self._load, loads, unit, earlier)
             self.advance(part, commanded)
             if part < count:
-                later = self.advance_with_derivatives(count - part, commanded, unit)
-                found = later[:, :size] @ found
-                found[:, size:] += later[:, size:]
-        return found
+                return self.advance_with_derivatives(count - part, commanded, unit, found)
+        return found[0]
 
     def set_motion(self, motion: Motion | ArrayLike) -> None:
         """

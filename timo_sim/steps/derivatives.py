@@ -7,7 +7,7 @@ Derivatives of steps, of the motion after them by the motion before them and by 
 The equations and the step are those of a run, compiled for duals.
 """
 
-from typing import Annotated, NamedTuple
+from typing import Annotated, Any, NamedTuple
 
 import numpy as np
 
@@ -192,7 +192,7 @@ def entry_for(model: Formulation) -> EntryPoint:
 
 
 def step_derivatives(steps: Steps, state: np.ndarray, load: np.ndarray, loads: np.ndarray,
-                     unit: np.ndarray) -> np.ndarray:
+                     unit: np.ndarray, earlier: Any = None) -> tuple[np.ndarray, np.ndarray]:
     """
     Return the derivatives of the motion after some steps.
 
@@ -205,23 +205,35 @@ def step_derivatives(steps: Steps, state: np.ndarray, load: np.ndarray, loads: n
         As in `Steps.advance`; the state stays, and the memory of the steps.
     unit : ndarray, shape (k, LOADS)
         What one of each input adds to all loads.
+    earlier : tuple of ndarray, optional
+        What this function returned of earlier steps of another model, which ended in this motion.
 
     Returns
     -------
     ndarray, shape (2 (3 + N), 2 (3 + N) + k)
-        Columns: by the motion before the steps, then by the inputs.
+        Columns: by the motion before the steps, the earlier ones if given, then by the inputs.
+    ndarray, shape (m + k, MEMORY)
+        The derivatives of the memory, in rows.
 
     """
     model, state, memory, done = steps.model, state.copy(), steps.memory.copy(), 0
     slopes, memory_slopes = (np.empty((len(state) + len(unit), len(each)))
                              for each in (state, memory))
     found = np.empty((model.size + len(unit), model.size))
-    while True:
-        part, following = steps.part(model.sector(state, load)), loads[done:]
-        count = entry_for(model).of(*part, steps.bristles)(
-            model.free_places, done == 0, state, memory, slopes, memory_slopes, load, following,
+
+    def advance(begins, following):
+        part = steps.part(model.sector(state, load))
+        return entry_for(model).of(*part, steps.bristles)(
+            model.free_places, begins, state, memory, slopes, memory_slopes, load, following,
             len(following), unit, len(unit), found)
+    if earlier is not None:
+        advance(True, loads[:0])  # for the derivatives of the state by the motion
+        places = model.free_places
+        rows = earlier[0].T[[*places, *range(model.size, len(found))]]
+        slopes, memory_slopes = rows[:, places] @ slopes[:len(state)], earlier[1]
+    while True:
+        count = advance(earlier is None and done == 0, loads[done:])
         done += count
         if not count or done == len(loads):
-            return found.T
+            return found.T, memory_slopes
         load = loads[done - 1, AFTER]
