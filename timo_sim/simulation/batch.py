@@ -472,7 +472,7 @@ def lane_size(scene: Scene) -> dict[str, Any]:
     values = scene.values
     return {**{name: values[name] for name in (
         'model.formulation', 'model.axial_modes', 'model.modes', 'integrator.step',
-        'motor.shaft')}, 'the axes along which the carrier is held or driven': fixed_axes(values),
+        'motor.shaft')}, 'carrier.drive or carrier.held': fixed_axes(values),
         **{f'{name} > 0': values[name] > 0.0 for name in (
             'push.position', 'hub.radius', 'motor.gear.stiffness', 'motor.spring.stiffness')},
         'the static shapes': scene.static,
