@@ -22,10 +22,11 @@ from timo_sim.model.layout import ACCELERATION, ANGLE, INPUTS, LOADS, STEP_LOADS
 from timo_sim.scene.parameters import ParameterError, same_length, short, whole_ratio
 from timo_sim.steps.loads import add_scene_loads, NEAR, PIECE, SceneLoads
 
-# Columns of what a scene may prescribe over time, by name: inputs, and places and speeds of a
-# driven carrier.
-CHANNELS = {each.name: column for column, each in enumerate(INPUTS)
-            if each.prescribed or each.name.startswith('carrier_')}
+# Columns of the inputs that a scene may prescribe over time, by name, and these with place and
+# speed of a driven carrier.
+CHANNELS = {each.name: column for column, each in enumerate(INPUTS) if each.prescribed}
+CURVES = {each.name: column for column, each in enumerate(INPUTS)
+          if each.prescribed or each.name.startswith('carrier_')}
 
 
 @dataclass(frozen=True)
@@ -124,7 +125,7 @@ class Drive:
 
 @dataclass(frozen=True)
 class Load:
-    """The loads of a scene: a tuple of terms to be summed for each of `CHANNELS`, and a drive."""
+    """The loads of a scene: a tuple of terms to be summed for each of `CURVES`, and a drive."""
 
     terms: dict[str, tuple[Any, ...]]
     drive: Any = None
@@ -146,7 +147,7 @@ class Load:
     @property
     def columns(self) -> list[int]:
         """The columns of loads that are not zero, see `model.layout`, a list of int."""
-        found = [CHANNELS[channel] for channel, terms in self.terms.items() if terms]
+        found = [CURVES[channel] for channel, terms in self.terms.items() if terms]
         return found if self.drive is None else [*found, *range(ANGLE, ACCELERATION + 1)]
 
     def fastest(self) -> tuple[float, str]:
@@ -175,7 +176,7 @@ class Load:
         known = self.__dict__.setdefault('_rows', {})
         if step not in known:
             harmonics, curves, pieces = [], [], [np.empty((0, PIECE))]
-            every = [(CHANNELS[channel], term) for channel, terms in self.terms.items()
+            every = [(CURVES[channel], term) for channel, terms in self.terms.items()
                      for term in terms] + [(ANGLE, self.drive)] * (self.drive is not None)
             for column, term in every:
                 if isinstance(term, Harmonic):
@@ -202,7 +203,7 @@ def on_boundaries(times: Any, step: float) -> np.ndarray:
 TERM_NAMES = {channel: tuple(f'load.{channel}.{name}' for name in (
     'harmonic.amplitude', 'harmonic.frequency', 'harmonic.phase', 'piecewise.time',
     'piecewise.value', 'table.time', 'table.value'))
-    for channel in [each.name for each in INPUTS if each.prescribed]}
+    for channel in CHANNELS}
 
 
 def load_of(values: Mapping[str, Any]) -> Load:

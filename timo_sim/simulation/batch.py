@@ -15,7 +15,7 @@ import numpy as np
 from timo_sim.model.layout import (
     AFTER, INPUTS, LOADS, Motion, rotate, START, STEP_LOADS, TORQUE, VOLTAGE)
 from timo_sim.scene.bodies import motor_constants
-from timo_sim.scene.loads import CHANNELS, Load
+from timo_sim.scene.loads import CURVES, Load
 from timo_sim.scene.parameters import (
     fixed_axes, numbers, Parameter, ParameterError, steps_in)
 from timo_sim.scene.scene import load_scene, Scene, scene_from, SceneLike
@@ -43,7 +43,7 @@ class LaneLoads:
         # What varies by itself, the drive or the terms of a channel: its columns, all different
         # loads, and which of them each lane has. Lanes share what does not differ among them.
         self._parts = []
-        for name in ('drive', *CHANNELS):
+        for name in ('drive', *CURVES):
             own = [scene.load.drive if name == 'drive' else scene.load.terms.get(name, ())
                    for scene in kinds]
             keys = own if name == 'drive' else [id(terms) for terms in own]
