@@ -35,7 +35,10 @@ def unseen_load(scene: Scene) -> str | None:
     frequency, channel = scene.load.fastest()
     if frequency * scene.step <= _MOST_OF_A_PERIOD:
         return None
-    return (f'load.{channel}.harmonic.frequency = {frequency:g} Hz is too high for '
+    driven = channel.startswith('carrier_') and frequency in scene.values[
+        'carrier.drive.harmonic.frequency']
+    name = 'carrier.drive' if driven else f'load.{channel}'
+    return (f'{name}.harmonic.frequency = {frequency:g} Hz is too high for '
             f'integrator.step = {scene.step:g} s: take at most '
             f'{_MOST_OF_A_PERIOD / frequency:.2g} s')
 
