@@ -224,7 +224,7 @@ def test_lists_of_modes_grow_with_the_modes():
         'model.modes': 2, 'model.axial_modes': 1, 'arm.damping_ratio': [0.1, 0.2, 0.3],
         'initial.modal_coordinates': [1e-3, 2e-3, 3e-6], 'initial.modal_rates': [4.0, 5.0, 6.0]})
     fine = refine(scene, 2)
-    assert fine.values['arm.damping_ratio'] == (0.1, 0.2, 0.2, 0.3, 0.3, 0.3)
+    assert fine.values['arm.damping_ratio'] == (0.1, 0.2, 0.2, 0.2, 0.3, 0.3, 0.3)
     coarse = timo_sim.load_scene({}, {'integrator.step': 0.02, 'arm.damping_ratio': 0.1})
     unresolved = refine(coarse, 2)
     assert unresolved.values['arm.damping_ratio'] == (*4 * (0.1,), 1.0)

@@ -67,16 +67,15 @@ def test_many_modes_that_need_no_shape_are_compared_with_a_run_that_has_it(modes
     assert run.stats['estimated_tip_error_m'] == pytest.approx(error, rel=0.05)
 
 
-@pytest.mark.parametrize('modes', [3, 4])
-def test_one_more_mode_shows_the_error_of_an_arm_with_a_heavy_tip(modes):
+def test_one_more_mode_shows_the_error_of_an_arm_with_a_heavy_tip():
     """The first mode that is left out has most of the error."""
-    scene = timo_sim.load_scene('paper', {**BARE, **HEAVY, 'model.modes': modes})
+    scene = timo_sim.load_scene('paper', {**BARE, **HEAVY, 'model.modes': 3})
     torque, end = arc(scene)
     run = timo_sim.simulate(scene.vary({
         'initial.equilibrium': True, 'load.tip_torque.piecewise.time': [0.0],
         'load.tip_torque.piecewise.value': [torque]}), 0.004)
     finer, error = refine(scene, 2), np.hypot(*(run.position()[-1] - end))
-    assert finer.values['model.modes'] == modes + 1 and finer.static == () and error > 1e-7
+    assert finer.values['model.modes'] == 4 and finer.static == () and error > 1e-7
     assert 0.5 < run.stats['estimated_tip_error_m'] / error < 1.1
 
 

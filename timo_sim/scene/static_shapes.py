@@ -14,6 +14,7 @@ import math
 import numpy as np
 
 from timo_sim.model.bodies import Beam, Manipulator, Quadrature
+from timo_sim.model.formulation import Formulation
 from timo_sim.model.modes import modes_of
 
 # The argument `static` of a Formulation, by `model.static_modes`.
@@ -92,10 +93,12 @@ def one_more_does(body: Manipulator, count: int, static: tuple[str, ...]) -> boo
     """
     Return whether one more mode, without further shapes, is enough for a finer run.
 
-    Up to five modes it shows half of an error that falls as 1/N^4. Of what modes and shapes leave
-    out of the tip's responses, it must leave a fifth, or what `needed_static_of_finer` leaves.
+    Up to five modes it shows half of an error that falls as 1/N^4. It must have more nodes, to
+    show their error, and of what modes and shapes leave out of the tip's responses it must leave a
+    fifth, or what `needed_static_of_finer` leaves.
     """
-    if not 0 < count <= _FEW_MODES or _of_tip(body.arm)[1]:
+    nodes = Formulation.node_count
+    if not 0 < count <= _FEW_MODES or nodes(count + 1) == nodes(count) or _of_tip(body.arm)[1]:
         return False
     least = np.transpose([_LEFT_OUT_BY_FINER])
     return bool((_missing(body, count + 1, static) < np.maximum(
