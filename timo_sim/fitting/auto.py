@@ -20,7 +20,7 @@ from timo_sim.scene.numbers import overrides_of
 from timo_sim.scene.parameters import ParameterError
 from timo_sim.scene.scene import Scene
 
-_STARTS, _SUSPECTS = 4, 6  # starts of the plain arm, suspects that are tried at a time
+_SUSPECTS = 6  # that are tried at a time
 _DRY, _NEAR_REST = 0.05, 0.05  # friction and its speed, of the largest torque and a usual speed
 _BODIES = {'motor': ('shaft', 'torque', 'voltage'), 'carrier': ('carrier_x', 'force_x', '')}
 _GAUGES = 'root_strain', 'tip_acceleration'  # whose gains are known roughly
@@ -75,12 +75,13 @@ def choose(scene: Scene, free: list[str], objective_of: Callable[[Scene, list[st
     `keep` is called with each scene that is the best so far, and the values found.
     """
     best, trial, line = Choice(scene, free, {}, []), Choice(scene, free, {}, []), ''
+    search = Search(objective_of(scene, free))
     try:
         while True:
             objective = objective_of(trial.scene, trial.free)
             search = Search(objective, first=trial.values)
             search.set_deadline(deadline)
-            x = search.settle(None if line else starts or _STARTS)
+            x = search.settle(starts, anew=not line)
             values = {free.name: free.value(at) for free, at in zip(objective.free, x)}
             error, _ = predict(objective, x)
             ladder = [*trial.ladder, f'{line or "the plain arm"}: {error:.2%}']
@@ -111,7 +112,8 @@ def choose(scene: Scene, free: list[str], objective_of: Callable[[Scene, list[st
                 for name, each in zip(names, best.free)] + [
                     name for name in first.free if name not in names])
     except (KeyboardInterrupt, TimeIsUp) as stop:
-        best, reason = best._replace(stopped=stop), reason_of(stop)
+        best, reason = best._replace(
+            values=best.values or search.best, stopped=stop), reason_of(stop)
     except (ArithmeticError, ParameterError) as error:
         reason = str(error)
     say(line := f'no more effects were tried: {reason}')

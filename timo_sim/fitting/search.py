@@ -47,7 +47,7 @@ NUMERICAL = 1e-9  # 1 - R^2 below which only numerical errors are left
 _HARDLY_WHITE = 1e-6  # probability of residuals as correlated, above which a minimum is good
 # 1 - R^2 above which other starts are tried, if one, two or three starts have led to a minimum.
 _MAX_UNEXPLAINED = 0.05, 0.2, 0.5, math.inf
-_MAX_STARTS = 16
+_MAX_STARTS, _FEW_STARTS = 16, 4
 _NEAR = 0.1  # distance in coordinates of the fit within which two ends are one
 _SPREAD = 6.0  # factor by which starts differ from what the record suggests
 
@@ -76,7 +76,7 @@ class Search:
             free.coordinate(first.get(free.name, free.start)) for free in objective.free]))
         self.x, self.others, self.tried = self.first, list[dict[str, float]](), 1
         self.stopped, self.interrupted = '', False
-        self._best = math.inf, self.x  # of all runs: `Objective.unlikelihood`, and x
+        self._best = math.inf, self.first  # of all runs: `Objective.unlikelihood`, and x
 
     def __getstate__(self):
         return {**vars(self), '_tell': None}  # a copy, as that of a Fit, searches no more
@@ -135,9 +135,15 @@ class Search:
         return best.x, [{free.name: free.value(at) for free, at in zip(objective.free, x)}
                         for x in apart[1:]]
 
-    def settle(self, starts: int | None) -> np.ndarray:
-        """Return x and find deviations roughly: from so many starts, or from the first alone."""
-        return self._settle(self._try_starts(starts)[0] if starts else self.first, _SETTLED_ENOUGH)
+    @property
+    def best(self) -> dict[str, float]:
+        """The best values so far, by name."""
+        return {free.name: free.value(at) for free, at in zip(self.objective.free, self._best[1])}
+
+    def settle(self, starts: int | None = None, anew: bool = False) -> np.ndarray:
+        """Return x and find deviations roughly: from the first, or from few starts."""
+        return self._settle(self._try_starts(starts, _FEW_STARTS)[0] if anew else self.first,
+                            _SETTLED_ENOUGH)
 
     def _settle(self, x, enough=_SETTLED_CHANGE):
         """Return the minimum near x, with the deviations of the sensors that it finds."""
@@ -169,10 +175,10 @@ class Search:
         linear = self.objective.jacobian(other, _WIDE, False) @ (x - other)
         return 0.5 * linear @ linear > _SAME * least
 
-    def _try_starts(self, starts):
+    def _try_starts(self, starts, limit=_MAX_STARTS):
         """Return the best x from several starts, then others that are as good."""
         objective, part = self.objective, self.objective.of_first_parts()
-        most = f'{starts}' if starts else f'up to {_MAX_STARTS}'
+        most = f'{starts}' if starts else f'up to {limit}'
         firsts: list[Minimum] = []   # of the first part, from each start
         costs: list[float] = []      # of all, from each of these; infinite if it was not followed
         followed: list[Minimum] = []
@@ -180,7 +186,7 @@ class Search:
         def rms(x):
             return math.sqrt(np.mean(part.residuals(part.within(x))**2))
 
-        for start in self._starts(starts or _MAX_STARTS):
+        for start in self._starts(starts or limit):
             self.tried = len(firsts) + 1
             first = self._solve(_LOOSE, start, part)
             text = (f'start {self.tried} of {most}: rms residual {rms(start):.3g} -> '
