@@ -75,7 +75,7 @@ def choose(scene: Scene, free: list[str], objective_of: Callable[[Scene, list[st
     `keep` is called with each scene that is the best so far, and the values found.
     """
     best, trial, line = Choice(scene, free, {}, []), Choice(scene, free, {}, []), ''
-    search = Search(objective_of(scene, free))
+    search, sure = Search(objective_of(scene, free)), best
     try:
         while True:
             objective = objective_of(trial.scene, trial.free)
@@ -106,7 +106,8 @@ def choose(scene: Scene, free: list[str], objective_of: Callable[[Scene, list[st
                 if name.partition('[')[0] in own}, best.scene))
             moved = 'motor.rotor.inertia' in changes
             names = [split_guess(each)[0] for each in best.free]
-            trial = best._replace(scene=scene, values={**values, **changes}, free=[
+            sure = best  # if a fit with the effect is not possible
+            best = trial = best._replace(scene=scene, values={**values, **changes}, free=[
                 name.replace('motor.', 'motor.rotor.')
                 if moved and name.startswith('motor.coulomb_') else each
                 for name, each in zip(names, best.free)] + [
@@ -115,6 +116,6 @@ def choose(scene: Scene, free: list[str], objective_of: Callable[[Scene, list[st
         best, reason = best._replace(
             values=best.values or search.best, stopped=stop), reason_of(stop)
     except (ArithmeticError, ParameterError) as error:
-        reason = str(error)
+        best, reason = sure, str(error)
     say(line := f'no more effects were tried: {reason}')
     return best._replace(ladder=[*best.ladder, line])
