@@ -169,7 +169,7 @@ def test_a_wrong_model_is_a_warning():
     observer = timo_sim.observer(scene.vary({'arm.young_modulus': 40e9}),
                                  disturbance={'torque': (0.01, 0.1)})
     arm = timo_sim.Simulator(scene)
-    with pytest.warns(ModelWarning, match='times as much from what the observer expects'):
+    with pytest.warns(ModelWarning, match='times as much from expected ones as the covariance'):
         for k in range(100):
             arm.step(torque=5.0 * (k < 10), duration=PERIOD)
             observer.update({'root_strain': arm.sensors.root_strain,

@@ -88,7 +88,7 @@ def test_pictures_of_the_benchmark_show_each_method_with_a_label_of_its_own():
     runs = [each[-1] for each in stored.values() if 'methods' in each[-1]]
     assert len(runs) == 4
     for run in runs:
-        axes, = draw(run).axes
+        axes, = draw(run, everything=True).axes
         times = {name: [best['seconds'] for best in method['best'] if best]
                  for name, method in run['methods'].items()}
         drawn = [list(line.get_ydata()) for line in axes.lines if len(line.get_ydata())]

@@ -295,7 +295,7 @@ def test_the_numbers_at_the_end_of_a_nodes_log_are_numbers(log, tmp_path):
         return [Metadata(name=SUMMARY, metadata={'estimated_tip_error_m': text}) if (
             isinstance(entry, Metadata) and entry.name == SUMMARY) else entry
             for entry in entries]
-    for text, told in ('1e-5', '1e-05 m at most'), ('no number', 'warnings; '):
+    for text, told in ('1e-5', 'estimated tip error 1e-05 m'), ('no number', 'warnings; '):
         path = rewritten(log, tmp_path / f'{text}.mcap', forged)
         assert told in repr(timo_sim.open_log(path))
 
