@@ -69,7 +69,7 @@ def test_the_deflection_of_an_arm_on_a_light_shaft_has_an_estimate_of_its_own():
         'carrier.held': 'both', 'initial.shaft_velocity': 0.5, 'motor.shaft_inertia': 0.01,
         'end_effector.mass': 0.0, 'end_effector.inertia': 0.0, **PICKED,
         'end_effector.pick_up': 'at_rest'})
-    with pytest.warns(timo_sim.ModelWarning, match='the deflection of the tip is 0.02'):
+    with pytest.warns(timo_sim.ModelWarning, match='error of the tip deflection is 0.02'):
         run = timo_sim.simulate(scene, 0.6, sample_every=10)
     _, shaft, tip, _ = spectral_elements.simulate(scene, 0.01, 60, courant=0.9)
     off = np.linalg.norm(run.position(2.0) - tip, axis=1).max()

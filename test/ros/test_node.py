@@ -155,7 +155,7 @@ def test_a_second_node_of_the_same_name_is_noticed(start, client):
     """Also without /clock."""
     *twins, other = (start('-r', f'__ns:={namespace}', record=False)
                      for namespace in ('/twice', '/twice', '/once'))
-    health, words = client.collect(DiagnosticArray, '/diagnostics'), 'another node is called '
+    health, words = client.collect(DiagnosticArray, '/diagnostics'), 'another node has the name '
     client.wait(lambda: all(words in node.output() for node in twins), 'warnings')
     client.wait(lambda: any(words in message.status[0].message for message in health), 'health')
     assert {message.status[0].name for message in health if words in message.status[0].message

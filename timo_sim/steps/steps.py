@@ -37,8 +37,9 @@ class Samples(NamedTuple):
 @functools.cache
 def _frictionless(gears):
     # Of these constants no code is left.
-    return pack(Bristles(0.0, np.zeros(0), np.zeros((0, 2)), np.zeros(0), np.zeros((0, 2)), 0.0,
-                         np.zeros(gears), 0))
+    none = np.zeros((0, 2))
+    return pack(Bristles(step=0.0, joint=none[:, 0], stiffness=none, reach=none[:, 0],
+                         stribeck=none, lead=0.0, gear=np.zeros(gears), place=0))
 
 
 class Steps:
