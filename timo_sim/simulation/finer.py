@@ -327,7 +327,9 @@ class EstimatingSimulator(Simulator):
         with self._lock:
             self.measure_error()
             super().change(scene)
-            self.finer.change(refine(self.scene, self._parts))  # with the shapes that it keeps
+            # It keeps its modes and shapes.
+            modes = self.finer.scene.values['model.modes'] - self.scene.values['model.modes']
+            self.finer.change(refine(self.scene, self._parts, modes))
 
     @checked(tell=FUNCTION, messages=FLAG)
     def warm_up(self, tell: Callable[[str], object] | None = None, messages: bool = False) -> None:
