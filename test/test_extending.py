@@ -70,7 +70,7 @@ def extended(tmp_path_factory):
     insert(package / 'model/layout.py', ')\nLOADS', INPUT)
     insert(package / 'model/newton.py', '        for n in range(count):\n            force[i]',
            FORMULA)
-    insert(package / 'model/newton.py', 'ACCELERATION, ANGLE,', 'LOADS, ')
+    insert(package / 'model/newton.py', 'ACCELERATION, ACCELERATION_X,', 'LOADS, ')
     (package / 'model/newton_small_speed.py').write_text(FORMULATION)
     insert(package / 'model/__init__.py', '}\n', LINE)
     (package / 'steps/rk4.py').write_text(INTEGRATOR)

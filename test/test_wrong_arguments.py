@@ -143,10 +143,11 @@ def calls(folder):
     yield timo_sim.fit, {
         'scene': scene, 'record': record, 'free': ['motor.shaft_inertia'], 'bounds': {},
         'hold_out': 0.0, 'loss': 'linear', 'mapping': None, 'starts': 1,
-        'hold_out_records': [], 'quick': True, 'tell': None, 'time': None}, {
+        'hold_out_records': [], 'quick': True, 'tell': None, 'time': None, 'auto': False,
+        'keep': None}, {
             'scene': '{}', 'bounds': 'None {}', 'hold_out': '0',
             'mapping': none, 'starts': none, 'hold_out_records': '[]', 'tell': none,
-            'time': 'None 1e300'}
+            'time': 'None 1e300', 'keep': none}
     yield fit.sample, {'n': 2, 'seed': 0}, {'seed': '0'}
     yield fit.save, {'path': folder / 'fit.yaml'}, {'path': "'x'"}
     yield timo_sim.export_c, {

@@ -20,7 +20,7 @@ from timo_sim.model.functions import Flow
 from timo_sim.model.layout import INPUTS, Motion
 from timo_sim.runs.linear import difference_steps, state_names
 from timo_sim.scene.parameters import (
-    checked, MAPPING, Parameter, ParameterError, short, TEXTS, warn, whole_ratio)
+    checked, MAPPING, Parameter, ParameterError, PARAMETERS, short, TEXTS, warn, whole_ratio)
 from timo_sim.scene.scene import load_scene, SceneLike
 from timo_sim.simulation.derivatives import unit_loads
 from timo_sim.simulation.loads import ARGUMENTS, check_arguments, commanded_load
@@ -40,7 +40,7 @@ _OF_RIGID_ARM = 10.0   # frequency in place of that of the first mode [rad/s]
 _INCONSISTENT, _MEMORY, _OUTLIER = 2.0, 200.0, 10.0
 _NAME = Parameter('', '', '', '', choices=(*_SENSORS,))
 _READING = Parameter('measured', (), '', '', alone=True)
-_DT = Parameter('dt', 0.0, 's', '', low=0.0)
+_DT = Parameter('dt', 0.0, 's', '', low=0.0, high=PARAMETERS['duration'].high)
 _PAIR = Parameter('deviation and correlation time of a disturbance', (), '', '', low=0.0)
 
 
@@ -234,7 +234,7 @@ class Observer(Stateful, PointsOfArm):
         dt = step if dt is None else _DT.check(dt)
         count, known = whole_ratio('dt', dt, 'integrator.step', step), self._known
         if count:
-            found = self.simulator.advance_with_derivatives(
+            found = self.simulator._advance_with_derivatives(
                 count, commanded_load(self._values, **(command or {})), known.unit)
         known.motion[:] = self.motion.values
         if count:

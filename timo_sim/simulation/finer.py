@@ -56,7 +56,8 @@ def refine(scene: Scene, parts: int, modes: int | None = None, axial: int | None
     """
     Return a finer scene, with `parts` steps for each step of the scene.
 
-    It has so many further `modes` in bending, by default two, or one where `one_more_does`, or
+    It has so many further `modes` in bending, by default two, or one with half steps, the usual
+    case, where `one_more_does`, or
     three times the present ones where loads are picked up, too; and so many further `axial` modes,
     by default one, or all that answer loads if the scene has some. The first axial mode is
     critically damped if its steps do not resolve it. Its formulation is `exact`, and it has the
@@ -68,7 +69,8 @@ def refine(scene: Scene, parts: int, modes: int | None = None, axial: int | None
     if modes is None:
         pushed = scene.load.terms['push_x'] or scene.load.terms['push_y']
         times = _MODES_OF_IMPACT if scene.payloads else _MODES_OF_PUSH if pushed else 1
-        one = times == 1 and one_more_does(scene.manipulator, bending, static)
+        one = times == 1 and parts == PARTS[0] and one_more_does(
+            scene.manipulator, bending, static)
         modes = 1 if one else min(times * bending + MORE_MODES, _MOST_MODES) - bending
     if axial is None:
         axial = max(_STRETCHES - stretching, 1) if stretching else 1

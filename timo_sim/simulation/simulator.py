@@ -313,11 +313,11 @@ class Simulator(Stateful, PointsOfArm):
         unit = unit_loads(self.scene.values, inputs)
         commanded = commanded_load(self.scene.values, **commands)
         count = 1 if duration is None else steps_in(duration, self.scene.step)
-        found, size = self.advance_with_derivatives(count, commanded, unit), self.model.size
+        found, size = self._advance_with_derivatives(count, commanded, unit), self.model.size
         return StepDerivatives(found[:, :size], found[:, size:])
 
-    def advance_with_derivatives(self, count: int, commanded: np.ndarray, unit: np.ndarray,
-                                 earlier: Any = None) -> np.ndarray:
+    def _advance_with_derivatives(self, count: int, commanded: np.ndarray, unit: np.ndarray,
+                                  earlier: Any = None) -> np.ndarray:
         """
         Advance by `count` steps; return the derivatives of the motion at the end.
 
@@ -338,7 +338,7 @@ class Simulator(Stateful, PointsOfArm):
                 self.integration, self._state, self._load, loads, unit, earlier)
             self.advance(part, commanded)
             if part < count:
-                return self.advance_with_derivatives(count - part, commanded, unit, found)
+                return self._advance_with_derivatives(count - part, commanded, unit, found)
         return found[0]
 
     def set_motion(self, motion: Motion | ArrayLike) -> None:
