@@ -52,21 +52,23 @@ STEPS_BEHIND = 8
 
 
 def refine(scene: Scene, parts: int, modes: int | None = None, axial: int | None = None,
-           same_equations: bool = False) -> Scene:
+           same_equations: bool = False, like: Scene | None = None) -> Scene:
     """
     Return a finer scene, with `parts` steps for each step of the scene.
 
     It has so many further `modes` in bending, by default two, or one with half steps, the usual
-    case, where `one_more_does`, or
-    three times the present ones where loads are picked up, too; and so many further `axial` modes,
-    by default one, or all that answer loads if the scene has some. The first axial mode is
-    critically damped if its steps do not resolve it. Its formulation is `exact`, and it has the
-    static shapes that loads on the tip need, unless it has the `same_equations`. Its space
-    contains that of the scene.
+    case, where `one_more_does`, or three times the present ones where loads are picked up; and
+    so many further `axial` modes, by default one, or all that answer loads if the scene has some.
+    The first axial mode is critically damped if its steps do not resolve it. Its formulation is
+    `exact`, and it has the static shapes that loads on the tip need, unless it has the
+    `same_equations`; modes and shapes may be those of another one, `like` it. Its space contains
+    that of the scene.
     """
     values, static, one = scene.values, scene.static, False
     bending, stretching = values['model.modes'], values['model.axial_modes']
-    if modes is None:
+    if like is not None:
+        modes, static = like.values['model.modes'] - bending, like.static
+    elif modes is None:
         pushed = scene.load.terms['push_x'] or scene.load.terms['push_y']
         times = _MODES_OF_IMPACT if scene.payloads else _MODES_OF_PUSH if pushed else 1
         one = times == 1 and parts == PARTS[0] and one_more_does(
@@ -76,7 +78,7 @@ def refine(scene: Scene, parts: int, modes: int | None = None, axial: int | None
         axial = max(_STRETCHES - stretching, 1) if stretching else 1
     if not bending:
         modes = axial = 0  # a rigid arm stays rigid
-    if not same_equations and not one:
+    if not same_equations and not one and like is None:
         static += tuple(load for load in needed_static_of_finer(
             scene.manipulator, bending + modes) if load not in static)
     if not scene.manipulator.arm.stretches:
@@ -329,9 +331,7 @@ class EstimatingSimulator(Simulator):
         with self._lock:
             self.measure_error()
             super().change(scene)
-            # It keeps its modes and shapes.
-            modes = self.finer.scene.values['model.modes'] - self.scene.values['model.modes']
-            self.finer.change(refine(self.scene, self._parts, modes))
+            self.finer.change(refine(self.scene, self._parts, like=self.finer.scene))
 
     @checked(tell=FUNCTION, messages=FLAG)
     def warm_up(self, tell: Callable[[str], object] | None = None, messages: bool = False) -> None:
