@@ -71,7 +71,7 @@ EFFECTS = {
                      'end_effector.inertia': 0.0},
     'one axis held': {'carrier.held': 'x', 'initial.carrier_x_velocity': 0.0},
     'payload that changes': {'payload.time': [0.005], 'payload.mass': [1.0],
-                             'payload.inertia': [0.02]},
+                             'payload.inertia': [0.02], 'payload.offset': [0.0]},
     'gravity and equilibrium': {'gravity': [0.0, -9.81], 'carrier.held': 'both',
                                 'initial.carrier_x_velocity': 0.0, 'initial.equilibrium': True,
                                 'initial.shaft_velocity': 0.0},
