@@ -91,15 +91,17 @@ def choose(scene: Scene, free: list[str], objective_of: Callable[[Scene, list[st
                 [*{each.name: each.text for problem in objective.problems
                    for each in problem.free}.values()], values, ladder)
             keep(best.scene, str(values))
-            found = [each for each in suspects(
-                objective, x, *search.weighted(x), _SUSPECTS, error) if each.change]
+            own = {**best.scene.values, **values}
+            found = [each for each in suspects(  # an effect may vanish as it is fitted
+                objective, x, *search.weighted(x), _SUSPECTS, error)
+                if each.change and each.change(own)]
             tried = [f'    with {each.name}: {each.ratio * error:.2%}' for each in found]
             say('\n'.join(['tried', *tried]))
             best = best._replace(ladder=[*ladder, *tried])
             first = min(found, key=lambda each: each.ratio, default=None)
             if first is None or not first.change or not first.ratio < BETTER:
                 return best
-            line, own = first.name, {**best.scene.values, **values}
+            line = first.name
             changes: dict[str, Any] = first.change(own)
             scene = best.scene.vary(overrides_of({
                 name: value for name, value in changes.items()
