@@ -5,14 +5,16 @@
 Fit real arms and predict what was held out: `make real-arm DATA=folder` fills doc/real_arm.md.
 
 The records are of others and not part of this repository; the page lists what to clone into the
-folder DATA. Its protocol is what `models_of`, `bounds_of` and `HOLD_OUT` say. Beside each fit
-stand those of the textbook's lumped model and of a black box, to the same part of the record.
+folder DATA. Its protocol is what `models_of`, `bounds_of` and `HOLD_OUT` say; that of the blind
+records is `--auto`. Beside each fit stand those of the textbook's lumped model and of a black box,
+to the same part of the record.
 """
 
 import json
 import os
 from pathlib import Path
 from textwrap import wrap
+from time import process_time
 from typing import NamedTuple
 import warnings
 
@@ -38,6 +40,7 @@ DELAYS = -0.002, 0.2  # bounds of delays [s]: what is late is not early
 SHORT = 0.1  # time in which a way of the shaft is one way [s]
 BACK = 0.25  # part of all ways in the lesser direction, above which the shaft moves in both
 FACTOR = 10.0  # to which a first guess is right
+SECONDS = 180  # that a blind fit may take
 SCORES = ROOT / 'doc' / 'real_arm' / 'scores.json'
 # The first lines of a command's file.
 HEAD = ('#!/bin/sh\n# The fit of doc/real_arm.md, in the folder of the records, with a link to '
@@ -108,6 +111,27 @@ CASES = [
          'boulder_april_columns.yaml', 'boulder_april.yaml', gear=48.4),
     Case('boulder_213', 'Boulder, last', 'ASEN2003/Lab 6: Rotary Arm/flexarm_K1K2K3_6_-5_213',
          'boulder_213_columns.yaml', 'boulder_213.yaml', gear=48.4),
+]
+_LAB_6, _SERIAL = 'ASEN2003/Lab 6: Rotary Arm', 'quanser-2-dof-serial-flexible-link/software'
+_RULER = 'systemid/example/2009-04-21'
+BLIND = [
+    Case('blind_ruler', 'a robot of one ruler', f'{_RULER}/swept1-0-10hz.txt',
+         'blind_ruler_columns.yaml', 'blind_ruler.yaml', step=0.004,
+         other=(f'{_RULER}/step1.txt', 'blind_ruler_columns.yaml')),
+    Case('blind_lisbon', 'Lisbon, a square wave',
+         'FlexibleArmControl/LabData/Lab3Data/3_lab_a12_f04_square.mat',
+         'blind_lisbon_columns.yaml', 'lisbon.yaml'),
+    Case('blind_boulder', 'Boulder, feedback of all rates',
+         f'{_LAB_6}/flexarm_K1K2K3k4_6_-3_213_4', 'blind_boulder_columns.yaml',
+         'boulder_213.yaml'),
+    Case('blind_boulder_other', 'Boulder, another group',
+         'Control-Systems-Rotary-Control/flexibleArm_test_2', 'blind_boulder_columns.yaml',
+         'boulder.yaml'),
+    Case('blind_delft', 'Delft, a step', 'flexible-beam-control/StepDampingData.csv',
+         'blind_delft_columns.yaml', 'delft.yaml'),
+    Case('blind_prague', 'Prague, full feedback',
+         f'{_SERIAL}/quanser_updated/Results/data_fsf_Im1.mat', 'blind_prague_columns.yaml',
+         'prague.yaml'),
 ]
 
 
@@ -296,6 +320,9 @@ def textbook(case, parts):
         bent = sensor * np.interp(t_tip, t, found[:, 1]) + level
         if tip == 'tip_x':
             bent += np.interp(t_tip, t, found[:, 0])
+        elif tip == 'tip_acceleration':
+            rates = np.gradient(np.gradient(found.sum(axis=1), t), t)
+            bent = sensor * np.interp(t_tip, t, rates) + level
         return {shaft: np.interp(record.outputs[shaft].t, t, found[:, 0]), tip: bent}
 
     def residuals(x, end):
@@ -311,7 +338,8 @@ def textbook(case, parts):
     bounds[:, 8:10] = np.transpose([DELAYS, DELAYS])
     best, half = None, min(parts[0][2], parts[0][0].duration)
     # A cart is heavier than its arm, and follows its voltage as a speed.
-    arm, friction, sensor = (0.1, 100.0, 1.0) if tip == 'tip_x' else (2.0, 10.0, size[tip] / 0.05)
+    arm, friction, sensor = (0.1, 100.0, 1.0) if tip == 'tip_x' else (
+        2.0, 10.0, size[tip] / (50.0 if tip == 'tip_acceleration' else 0.05))
     for hertz in np.geomspace(0.5, 12.0, 20):
         x = np.log([(2 * np.pi * hertz)**2 * arm, arm, friction, 0.1, 100.0, sensor, 10.0])
         x = np.concatenate([x, [0.0, 0.0, 0.0], [parts[0][0].outputs[name].values[0]
@@ -450,6 +478,15 @@ def missing(quick):
         f'the first quarter and at {last:.2f} Hz in the last.'])
 
 
+def fit_of(case):
+    """Return the beginning of the command line of a fit: record, what is held out, scene."""
+    held = f"--hold-out-record '{case.other[0]}'" if case.other else f'--hold-out {HOLD_OUT:g}'
+    columns = ' --mapping '.join(f'example/real_arm/{each}'
+                                 for each in dict.fromkeys([case.columns, *case.other[1:]]))
+    return (f"timo_sim fit '{case.record}' {held} \\\n"
+            f'    --scene example/real_arm/{case.scene} --mapping {columns}')
+
+
 def command_of(case, parts, chosen, free):
     """Return the command line of a fit with the chosen model and what is free."""
     (record, _, until), *_ = parts
@@ -458,13 +495,8 @@ def command_of(case, parts, chosen, free):
     shown = ' --bounds '.join(f'{name}={low:.5g}:{high:.5g}' for name, (low, high) in bounds_of(
         names, scene.vary(values)).items())
     changes = ' '.join(['--set', *(f'{name}={value:.6g}' for name, value in values.items())])
-    held = f"--hold-out-record '{case.other[0]}'" if case.other else f'--hold-out {HOLD_OUT:g}'
-    columns = ' --mapping '.join(f'example/real_arm/{each}'
-                                 for each in dict.fromkeys([case.columns, *case.other[1:]]))
     return ' \\\n    '.join([
-        f"timo_sim fit '{case.record}' {held}",
-        f'--scene example/real_arm/{case.scene} --mapping {columns}',
-        *wrap(f'--bounds {shown}', 112), *(wrap(changes, 112) if values else []),
+        fit_of(case), *wrap(f'--bounds {shown}', 112), *(wrap(changes, 112) if values else []),
         *(f'--free {",".join(line.split())}' for line in wrap(' '.join(free), 105)),
         '-o fitted.yaml --png fit.png "$@"'])
 
@@ -499,8 +531,33 @@ def section(case):
             f'([report](real_arm/{case.name}.txt)).')
 
 
+def blind(quick):
+    """Fit records that nobody had fitted, by `--auto` alone, and return what was held out."""
+    rows = []
+    for case in BLIND:
+        parts, began = parts_of(case), process_time()
+        others = [parts[1][0]] if case.other else []
+        found = timo_sim.fit(
+            timo_sim.load_scene(FILES / case.scene), parts[0][0], auto=True, quick=True,
+            time=SECONDS, hold_out=0.0 if others else HOLD_OUT, hold_out_records=others)
+        used, held = process_time() - began, (found.more or [found])[-1]
+        rivals = textbook(case, parts), black_box(case, parts)[0]
+        for name, errors in held.errors.items():
+            rows.append([case.lab, name, in_words(errors.hold_out_r_squared), *(
+                in_words(each[name][1]) for each in rivals), f'{used:.0f} s'])
+        held.plot().savefig(ROOT / 'doc' / 'real_arm' / f'{case.name}.png', dpi=70)
+        (ROOT / 'doc' / 'real_arm' / f'{case.name}.txt').write_text(
+            found.report().replace(f'{DATA}/', '') + '\n', encoding='utf-8')
+        script = FILES / f'{case.name}.sh'
+        script.write_text(f'{HEAD}{fit_of(case)} \\\n    --auto --quick --time {SECONDS} '
+                          '-o fitted.yaml --png fit.png "$@"\n', encoding='utf-8')
+        script.chmod(0o755)
+    return table(['record', 'R^2, held out, of', '`--auto`', 'textbook', 'black box',
+                  'processor time'], rows)
+
+
 PARTS = {**{case.name: lambda quick, case=case: section(case) for case in CASES},
-         'missing': missing, 'summary': summary}
+         'missing': missing, 'summary': summary, 'blind': blind}
 
 if __name__ == '__main__':
     warnings.simplefilter('ignore', timo_sim.ModelWarning)  # the reports have them
