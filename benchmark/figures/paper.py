@@ -12,6 +12,7 @@ from io import BytesIO
 import matplotlib.pyplot as plt
 import numpy as np
 from PIL import Image
+from scipy.ndimage import maximum_filter1d
 
 from benchmark import ROOT
 from benchmark.figures.root_reactions import MENTIONED
@@ -24,6 +25,7 @@ from timo_sim.model import FORMULATIONS
 
 FIGURES = ROOT / 'doc' / 'paper'
 MODES = 5
+AROUND = 0.5  # in which differences that swing are shown by the largest [s]
 NAMES = {'0': '0', 'l4': 'l/4', 'l2': 'l/2', '3l4': '3l/4', 'l': 'l'}
 FORMULATIONS.update(MENTIONED)
 COLOURS = dict(zip(FORMULATIONS, (BLUE, ORANGE, GREEN, RED)))
@@ -150,15 +152,22 @@ def histories(t, runs, truth, fem):
         for axis, name, factor, small in zip(row, runs, (1e3, 1e6), finer[unit]):
             for key, colour in zip(five, (BLACK, ORANGE, BLUE, GREEN, RED)):
                 if key in stations:
-                    axis.plot(t, factor * (ours(name, key) - theirs(key)), color=colour,
-                              lw=0.7, label=f'xi = {NAMES[key]}')
+                    axis.plot(t, envelope(t, factor * (ours(name, key) - theirs(key))),
+                              color=colour, label=f'xi = {NAMES[key]}')
             axis.set_title(f'{what}, {name}', fontsize=9)
             axis.set_ylabel(f'difference [{small}]')
+            axis.set_ylim(bottom=0.0)
     for axis in axes[-1]:
         axis.set_xlabel('t [s]')
     figure.legend(*axes[0, 0].get_legend_handles_labels(), loc='outside lower center', ncols=5)
-    return text + save(figure, '06_to_10', 'Figs. 6 to 10 as differences from finite elements, '
-                       f'N = {MODES}, of newton (left) and exact (right, in finer units)')
+    return text + save(figure, '06_to_10', 'Figs. 6 to 10 as largest differences from finite '
+                       f'elements within {AROUND:g} s, N = {MODES}, of newton (left) and exact '
+                       '(right, in finer units)')
+
+
+def envelope(t, values):
+    """Return the largest absolute value within AROUND [s], at each of equal times."""
+    return maximum_filter1d(np.abs(values), round(AROUND / (t[1] - t[0])))
 
 
 def label(axes, below, beside):
@@ -217,15 +226,16 @@ def error_histories(t, runs, truth):
         for row, name in enumerate(names):
             axis = axes[row, column]
             for key, colour in zip(STATIONS, (BLACK, ORANGE, BLUE, GREEN, RED)):
-                axis.semilogy(t[1:], error[key][1:, row], color=colour, lw=0.8,
+                axis.semilogy(t, envelope(t, error[key][:, row]), color=colour,
                               label=f'xi = {NAMES[key]}')
             axis.axhline((0.08, 0.15, 0.15)[row], color=BLACK, ls=':', lw=1)
             axis.set_ylim(1e-7, 1)
             axis.set_title(f'{name}, {formulation}', fontsize=9)
     label(axes, 't [s]', 'error [%]')
     figure.legend(*axes[0, 0].get_legend_handles_labels(), loc='outside lower center', ncols=5)
-    text = save(figure, '11', f'Fig. 11: errors against finite elements, N = {MODES}, of newton '
-                '(left) and exact (right); dotted: the bound printed in the paper')
+    text = save(figure, '11', f'Fig. 11: largest errors within {AROUND:g} s against finite '
+                f'elements, N = {MODES}, of newton (left) and exact (right); dotted: the bound '
+                'printed in the paper')
     for row, (name, bound) in enumerate(zip(names, (0.08, 0.15, 0.15))):
         largest = {formulation: {key: error[key][:, row].max() for key in STATIONS}
                    for formulation, error in found.items()}
