@@ -164,14 +164,34 @@ def test_controllers_of_the_launch_file_use_its_joints_and_interfaces(tmp_path):
                          for interface in joint.iterfind(f'{kind}_interface')}
                         for kind in ('command', 'state'))
     sections = read_sections(ROOT / 'hardware/config/controllers.yaml')
-    effort, pid = sections['/effort_controller'], sections['/pid_controller']
+    effort, pid, follower = (sections[f'/{name}_controller'] for name in (
+        'effort', 'pid', 'joint_trajectory'))
     (dof,), (claimed,) = pid['dof_names'], effort['joints']
+    assert {f'{dof}/{name}' for name in follower['command_interfaces']} <= commands
+    assert {f'{dof}/{name}' for name in follower['state_interfaces']} <= states
     assert {f'{claimed}/{effort["interface_name"]}', f'{dof}/{pid["command_interface"]}'} <= (
         commands)
     assert {f'{dof}/{name}' for name in pid['reference_and_state_interfaces']} <= states
     assert [name for name in pid if name.startswith('gains') and f'.{dof}.' not in name] == []
     # generate_parameter_library refuses whole numbers for doubles.
-    assert all(type(value) is not int for value in pid.values())
+    assert all(type(value) is not int for each in (pid, follower) for value in each.values())
+
+
+def test_a_trajectory_controller_follows_with_the_gains_of_its_file():
+    sections = read_sections(ROOT / 'hardware/config/controllers.yaml')
+    gains, period = sections['/joint_trajectory_controller'], 0.002
+    assert sections['/controller_manager']['update_rate'] == 1.0 / period
+    simulator = timo_sim.Simulator(timo_sim.load_scene({}, {'load.torque.harmonic.amplitude': []}))
+    first, way, duration = simulator.motion.shaft, 0.7, 3.0
+    for t in np.arange(0.0, 4.0, period):
+        x = min(t / duration, 1.0)  # the cubic between two points at rest
+        error = first + way * x * x * (3.0 - 2.0 * x) - simulator.motion.shaft
+        assert abs(error) < gains['constraints.shaft.trajectory']
+        rate = way / duration * 6.0 * x * (1.0 - x) - simulator.motion.shaft_velocity
+        simulator.step(torque=gains['gains.shaft.p'] * error + gains['gains.shaft.d'] * rate,
+                       duration=period)
+    assert abs(error) < gains['constraints.shaft.goal']
+    assert abs(simulator.motion.shaft_velocity) < gains['constraints.stopped_velocity_tolerance']
 
 
 def test_refused(program, tmp_path):
