@@ -38,7 +38,7 @@ def draw_fit(predictions: Sequence[Any], unit_of: Callable[[str], str]) -> Figur
         for axes, name in zip(column, rows):
             channel = {**record.inputs, **record.outputs}.get(name)
             title = f'record {number}, {record.source}' if count > 1 and axes is column[0] else ''
-            axes.set_title(title, loc='left', fontsize='small')
+            axes.set_title(title, loc='left', fontsize='medium')
             axes.grid(alpha=0.3)
             if prediction.until < record.duration:
                 axes.axvspan(prediction.until, record.duration, color='0.93', zorder=0)
@@ -61,8 +61,8 @@ def draw_fit(predictions: Sequence[Any], unit_of: Callable[[str], str]) -> Figur
             text = 'R² = ' + ', '.join(f'{value:.3f} {part}' for value, part in (
                 (each.r_squared, 'fitted'), (each.hold_out_r_squared, 'held out'))
                 if np.isfinite(value))
-            axes.legend(fontsize='small', ncols=3, frameon=False, loc='lower right',
+            axes.legend(fontsize='medium', ncols=3, frameon=False, loc='lower right',
                         bbox_to_anchor=(1.0, 1.0), borderaxespad=0.0)
-            axes.set_title(f'{title}\n{text}'.strip(), loc='left', fontsize='small')
+            axes.set_title(f'{title}\n{text}'.strip(), loc='left', fontsize='medium')
         column[-1].set(xlabel='time [s]', xlim=(0.0, record.duration))
     return figure
