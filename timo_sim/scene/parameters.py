@@ -193,15 +193,23 @@ def _limit(name, unit, meaning):
                      finite=False, runtime=True)
 
 
-def _asymmetry(body, name):
-    return Parameter(f'{body}.coulomb_asymmetry', 0.0, '', f'part a by which this friction on the '
-                     f'{name} is larger in forward and smaller in backward motion: 1 + a and '
-                     '1 - a times as large', low=-1.0, high=1.0)
-
-
-def _presliding(body, name, unit, least):
+def _friction(body, name, speed, force, least, runtime=False):
+    # Of a body with these units of speed and force; `least` is its presliding where none is given.
+    way, along = speed.removesuffix('/s'), ', the same along world x and y' * (body == 'carrier')
+    kind = f'{"force" if force == "N" else "torque"} on the {name}'
+    asymmetry = [] if body == 'carrier' else [Parameter(
+        f'{body}.coulomb_asymmetry', 0.0, '', f'part a by which this friction on the {name} is '
+        'larger in forward and smaller in backward motion: 1 + a and 1 - a times as large',
+        low=-1.0, high=1.0)]
     return [
-        _not_negative(f'{body}.coulomb_presliding', 0.0, unit, f'way of the {name} over which '
+        _not_negative(f'{body}.viscous_friction', 0.0, f'{force} s/{way}', f'viscous friction '
+                      f'{kind} per speed{along}', runtime=runtime),
+        _not_negative(f'{body}.coulomb_friction', 0.0, force, f'largest Coulomb friction '
+                      f'{kind}{along}'),
+        _not_negative(f'{body}.coulomb_speed', 0.0, speed, f'speed v_s of the {name} over which '
+                      'it builds up without presliding, as tanh(v / v_s)'),
+        *asymmetry,
+        _not_negative(f'{body}.coulomb_presliding', 0.0, way, f'way of the {name} over which '
                       'this friction builds up after each reversal, as of a spring; 0: '
                       f'{least}, unless there is a coulomb_speed'),
         Parameter(f'{body}.coulomb_static', 1.0, '', f'this friction of the {name} at rest over '
@@ -304,13 +312,7 @@ _ALL = [
     _not_negative('hub.radius', 0.0, 'm', "distance from the shaft's axis to the root of the arm, "
                   'along the arm; the inertia of the hub is part of motor.shaft_inertia'),
     _not_negative('carrier.mass', 5.0, 'kg', 'mass of the carrier; > 0 unless it is held'),
-    _not_negative('carrier.viscous_friction', 0.0, 'N s/m', 'viscous friction force on the '
-                  'carrier per speed, along world x and y', runtime=True),
-    _not_negative('carrier.coulomb_friction', 0.0, 'N', 'largest Coulomb friction force on the '
-                  'carrier, the same along world x and y'),
-    _not_negative('carrier.coulomb_speed', 0.0, 'm/s', 'speed v_s over which it builds up '
-                  'without presliding, as tanh(v / v_s)'),
-    *_presliding('carrier', 'carrier', 'm', '1e-4 m'),
+    *_friction('carrier', 'carrier', 'm/s', 'N', '1e-4 m', runtime=True),
     _limit('carrier.force_limit', 'N', 'largest force along an axis that commands can apply'),
     _limit('carrier.force_rate_limit', 'N/s', 'largest rate at which that force changes'),
     Parameter('carrier.held', 'none', '', 'axes of the world along which the carrier cannot move',
@@ -330,14 +332,7 @@ _ALL = [
                 f'world {axis}; empty: it has none') for axis in 'xy'],
     _not_negative('motor.mass', 5.0, 'kg', 'mass of the motor, which moves with the carrier'),
     _not_negative('motor.shaft_inertia', 2.0, 'kg m2', 'moment of inertia of the motor shaft'),
-    _not_negative('motor.viscous_friction', 0.0, 'N m s/rad', 'viscous friction torque on the '
-                  'shaft per speed', runtime=True),
-    _not_negative('motor.coulomb_friction', 0.0, 'N m', 'largest Coulomb friction torque on the '
-                  'shaft'),
-    _not_negative('motor.coulomb_speed', 0.0, 'rad/s', 'speed over which it builds up '
-                  'without presliding'),
-    _asymmetry('motor', 'shaft'),
-    *_presliding('motor', 'shaft', 'rad', '1e-3 rad'),
+    *_friction('motor', 'shaft', 'rad/s', 'N m', '1e-3 rad', runtime=True),
     _not_negative('motor.spring.stiffness', 0.0, 'N m/rad', 'stiffness of a spring between '
                   'carrier and shaft, or of a cable; 0: there is none'),
     Parameter('motor.spring.rest', 0.0, 'rad', 'shaft angle at which it is relaxed',
@@ -349,14 +344,7 @@ _ALL = [
                   'stop'),
     _not_negative('motor.rotor.inertia', 0.0, 'kg m2', 'moment of inertia of the rotor of an '
                   'elastic gear, about its own axis'),
-    _not_negative('motor.rotor.viscous_friction', 0.0, 'N m s/rad', 'viscous friction torque on '
-                  'this rotor per its own speed'),
-    _not_negative('motor.rotor.coulomb_friction', 0.0, 'N m', 'largest Coulomb friction torque on '
-                  'this rotor'),
-    _not_negative('motor.rotor.coulomb_speed', 0.0, 'rad/s', 'speed of the rotor over which it '
-                  'builds up without presliding'),
-    _asymmetry('motor.rotor', 'rotor'),
-    *_presliding('motor.rotor', 'rotor', 'rad', '1e-3 rad of the shaft'),
+    *_friction('motor.rotor', 'rotor', 'rad/s', 'N m', '1e-3 rad of the shaft'),
     _limit('motor.torque_limit', 'N m', 'largest torque that commands can apply'),
     _limit('motor.torque_rate_limit', 'N m/s', 'largest rate at which that torque changes'),
     _not_negative('motor.dc.resistance', 0.0, 'ohm', 'resistance of a DC motor that is commanded '
