@@ -54,7 +54,7 @@ def test_acceleration_is_the_second_difference_of_the_tips_position(name, paper,
     ahead.advance(8000 - 24)
     formulation, (motions, _) = simulator.model, ahead.advance(48, sample_every=1)
     place = formulation.world(motions, formulation.at([length]))[:, 0]
-    found = simulator.snapshot().accelerations[1]
+    found = simulator.snapshot().joints.accelerations[1][0]
 
     def error(weights, stride):
         half = len(weights) // 2

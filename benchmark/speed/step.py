@@ -24,7 +24,7 @@ import timo_sim
 from timo_sim.compiled.constants import pack
 from timo_sim.model import formulation_class
 from timo_sim.model.layout import LOADS
-from timo_sim.simulation.derivatives import unit_loads
+from timo_sim.simulation.loads import unit_loads
 from timo_sim.steps import etdrk4
 from timo_sim.steps.bristles import MEMORY
 from timo_sim.steps.derivatives import step_derivatives

@@ -39,7 +39,7 @@ def rows(count, seed=1):
         except timo_sim.DivergenceError:
             diverged += 1
             continue
-        driven = scene.load.drive is not None and scene.constraints.locked is None
+        driven = scene.load.terms['angle'] and scene.constraints.locked is None
         waves = any(isinstance(term, Harmonic) for terms in scene.load.terms.values()
                     for term in terms)
         found.setdefault('harmonic, or a drive' if driven or waves else 'none of these',

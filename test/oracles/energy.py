@@ -46,7 +46,7 @@ def balance(run):
     ns, model, half = np.rint(run.t * 1e9), run.model, run.values.shape[1] // 2
     steps = np.rint(run.t / run.scene.step)
     jumps = np.rint([time / run.scene.step for terms in run.scene.load.terms.values()
-                     for term in terms for time in term.jumps()])
+                     for term in terms if hasattr(term, 'jumps') for time in term.jumps()])
     position, velocity = (run.values[:, part] @ model.driven_turns
                           for part in (slice(half), slice(half, None)))
     done = work(ns, position, velocity, run.effort, np.isin(steps, jumps)[:, np.newaxis])

@@ -82,7 +82,8 @@ def solve(system, scene, watched, root, shaft, step, duration, every, tolerance=
     # jump it therefore begins anew, from the accelerations after the jump.
     count = round(duration / step)
     jumps = sorted({round(jump / step) for name in numbers for term in scene.load.terms[name]
-                    for jump in term.jumps() if 0.0 < jump < duration})
+                    if isinstance(term, Piecewise) for jump in term.jumps()
+                    if 0.0 < jump < duration})
     if any(jump % every for jump in jumps):
         raise ValueError(f'loads may jump at samples only, every {every} steps, got {jumps}')
     bounds, pieces, seconds = [0, *jumps, count], [], 0.0

@@ -182,11 +182,12 @@ def load_function(scene, drive=None):
         theta(t) and its derivatives.
 
     """
-    terms = [(CHANNELS[channel], term) for channel, each in scene.load.terms.items()
-             for term in each]
+    terms = [(column, term) for channel, column in CHANNELS.items()
+             for term in scene.load.terms[channel]]
     if not all(isinstance(term, (Harmonic, Piecewise)) for _, term in terms):
         raise ValueError('only harmonic and piecewise loads are known at any time')
-    jumps = sorted({jump for _, term in terms for jump in term.jumps()})
+    jumps = sorted({jump for _, term in terms if isinstance(term, Piecewise)
+                    for jump in term.jumps()})
 
     def load(t):
         values = np.zeros(LOADS)

@@ -198,7 +198,7 @@ def test_the_acceleration_of_the_tip_includes_friction():
                                  'initial.shaft_velocity': 2.0})
     simulator, formulation = Simulator(scene), scene.build()
     motions, _ = simulator.advance(200, sample_every=1)
-    found = simulator.snapshot().accelerations[1]
+    found = simulator.snapshot().joints.accelerations[1][0]
     motions = np.vstack([motions[-2:], simulator.advance(1, sample_every=1)[0][1:]])
     tip = formulation.world(motions, formulation.at([LENGTH]))[:, 0]
     second = (tip[0] - 2.0 * tip[1] + tip[2]) / scene.step**2

@@ -97,7 +97,7 @@ def test_a_step_with_knots_inside_has_the_integral_and_moments_of_the_load():
 def test_a_step_with_points_of_a_drive_inside_has_its_integral_and_moments():
     drive = Drive((0.0, 0.23, 0.27, 0.28), (0.0, 0.3, 0.1, 0.2), (0.0, 1.0, 0.0, 0.5),
                   (0.0, 0.0, 5.0, 0.0))
-    loads = Load({}, drive).stages(0, 4, STEP)[..., ANGLE:ACCELERATION + 1]
+    loads = Load({'angle': (drive,)}).stages(0, 4, STEP)[..., ANGLE:ACCELERATION + 1]
     curve = BPoly.from_derivatives(drive.time, list(zip(drive.angle, drive.speed,
                                                         drive.acceleration)))
     for order in range(3):

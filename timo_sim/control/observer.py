@@ -22,10 +22,10 @@ from timo_sim.runs.linear import difference_steps, state_names
 from timo_sim.scene.parameters import (
     checked, MAPPING, Parameter, ParameterError, PARAMETERS, short, TEXTS, warn, whole_ratio)
 from timo_sim.scene.scene import load_scene, SceneLike
-from timo_sim.simulation.derivatives import unit_loads
-from timo_sim.simulation.loads import ARGUMENTS, check_arguments, commanded_load
+from timo_sim.simulation.loads import (
+    ARGUMENTS, check_arguments, commanded_load, unit_loads)
 from timo_sim.simulation.simulator import Simulator, Stateful
-from timo_sim.simulation.snapshot import FIRST_AXES, joints_of_run, variance
+from timo_sim.simulation.snapshot import FIRST_AXES, Joints, variance
 from timo_sim.simulation.warnings import DivergenceError
 from timo_sim.steps.kalman import correct, Filter, predict, SENSED
 from timo_sim.topics.outputs import SENSORS
@@ -307,7 +307,7 @@ class Observer(Stateful, PointsOfArm):
             shown = [sensor.of_motion(model, motions)[:, np.newaxis] for sensor in sensors]
         else:
             acting = self.simulator.integration.acting(self.simulator.load)
-            joints = joints_of_run(model, motions, acting + disturbances @ self._known.unit)
+            joints = Joints(model, motions, acting + disturbances @ self._known.unit)
             shown = [sensor.of_joints(joints) for sensor in sensors]
         return np.hstack(shown)
 

@@ -23,8 +23,7 @@ from timo_sim.export.instance import Code, Instance, KNOWN, LOST, MAGIC, PART, S
 from timo_sim.model.functions import tips
 from timo_sim.model.layout import LOADS, STEP_LOADS
 from timo_sim.model.statics import impact
-from timo_sim.simulation.derivatives import unit_loads_of
-from timo_sim.simulation.loads import Actuators, tip_of
+from timo_sim.simulation.loads import Actuators, tip_of, unit_loads_of
 from timo_sim.steps.bristles import MEMORY
 from timo_sim.steps.derivatives import entry_for
 from timo_sim.steps.etdrk4 import advance

@@ -27,7 +27,7 @@ from timo_sim.fitting.record import Channel, DRIVE, OUTPUTS, Record, unit_of
 from timo_sim.model.layout import INPUTS
 from timo_sim.runs.run import Run, run_scene
 from timo_sim.scene.bodies import motor_constants
-from timo_sim.scene.loads import Load, on_boundaries, Table
+from timo_sim.scene.loads import SHAFT_DRIVE, Load, on_boundaries, Table
 from timo_sim.scene.numbers import (
     INITIAL, initial_names, initial_scale, number_of, overrides_of)
 from timo_sim.scene.parameters import (
@@ -227,11 +227,10 @@ def sensor_of(values: Mapping[str, float], quantity: str) -> list[float]:
 def loads_of(record: Record, scene: Scene, values: Mapping[str, float]) -> Load:
     """Return the Load of a scene and a record's inputs, whose sensors have values by name."""
     terms: dict[str, list[Any]] = {name: [*own] for name, own in scene.load.terms.items()}
-    drive: Any = scene.load.drive
     for name, channel in record.inputs.items():
         gain, bias, delay, lag = sensor_of(values, name)
         if name == DRIVE:
-            drive = Driven(channel, gain, bias, delay)
+            terms[SHAFT_DRIVE] = [Driven(channel, gain, bias, delay)]
             continue
         if name == 'voltage':
             constant = motor_constants(scene.values)[0]
@@ -242,7 +241,7 @@ def loads_of(record: Record, scene: Scene, values: Mapping[str, float]) -> Load:
         if lag > 0.0:
             t, shown = _lagging(t, shown, max(t[-1], record.duration), scene.step, lag)
         terms.setdefault(name, []).append(Table(t, shown))
-    return Load({name: tuple(found) for name, found in terms.items()}, drive)
+    return Load({name: tuple(found) for name, found in terms.items()})
 
 
 def _lagging(t, values, end, step, lag):
@@ -345,7 +344,7 @@ class Problem:
             scene = scene.vary({'motor.shaft': 'driven', 'motor.drive': {
                 'time': [0.0], 'angle': [0.0], 'speed': [0.0], 'acceleration': [0.0]}})
         if DRIVE not in record.inputs and scene.values['motor.shaft'] == 'driven' and (
-                not scene.load.drive):
+                not scene.load.terms[SHAFT_DRIVE]):
             raise ParameterError('motor.shaft = driven needs a record of the input drive')
         if record.duration > _MAX_STEPS * scene.step:
             raise ParameterError(f'the record lasts {record.duration:g} s, but at most '
@@ -356,7 +355,7 @@ class Problem:
         self._sensors = {f'{name}.{kind}' for name in record.outputs for kind in SENSOR}
         self.free = free_parameters(names, bounds, scene, record)
         self._shown: dict[tuple[Any, ...], tuple[float, dict[str, np.ndarray]]] = {}
-        still = not (scene.load or scene.load.drive or scene.initial_motion()[3:].any()
+        still = not (scene.load or scene.initial_motion()[3:].any()
                      or scene.build().gravity.any() or scene.manipulator.spring)
         if still and not record.inputs and not any(name.startswith(INITIAL) for name in names):
             raise ParameterError('nothing moves the arm: the record has no input, and the scene '

@@ -27,7 +27,7 @@ from timo_sim.fitting.response import ResponseProblem
 from timo_sim.model.layout import AFTER, TORQUE
 from timo_sim.scene.bodies import motor_constants
 from timo_sim.scene.parameters import ParameterError
-from timo_sim.simulation.snapshot import add_bristles, joints_of_run
+from timo_sim.simulation.snapshot import add_bristles, Joints
 from timo_sim.simulation.warnings import DivergenceError
 
 _FACTORS = np.geomspace(0.1, 10.0, 15)  # of a parameter of the arm that are tried
@@ -101,7 +101,7 @@ class _ArmOnShaft:
         acceleration = np.gradient(speed, run.t)[some]
         loads = run.loads()[some]
         add_bristles(run.scene, run.model, run.values[some], loads)
-        joints = joints_of_run(run.model, run.values[some], loads)
+        joints = Joints(run.model, run.values[some], loads)
         torque = joints.reactions[:, 2]  # without that of the shaft itself, it is that of the arm
         torque -= run.scene.values['motor.shaft_inertia'] * acceleration
         sign = np.tanh(speed / (_SLOW * np.abs(speed).max() + _TINY))

@@ -180,7 +180,7 @@ class Interfaces:
         model, motion = snapshot.model, snapshot.motion
         if name == 'carrier':
             position, velocity = snapshot.joint_positions[:2], snapshot.joint_velocities[:2]
-            acceleration = snapshot.accelerations[0][:2].tolist()
+            acceleration = snapshot.joints.accelerations[0][0, :2].tolist()
             angle = turning = turning_rate = 0.0
         else:
             x, y, theta = snapshot.joint_positions
@@ -188,7 +188,7 @@ class Interfaces:
             position, angle = place(x, y, theta, along, across), theta + rotation
             speeds, turned = model.velocities(motion[np.newaxis], model.tip_point)
             velocity, turning = speeds[0, 0].tolist(), float(turned[0, 0])
-            coordinates, tip = snapshot.accelerations
+            coordinates, tip = (each[0] for each in snapshot.joints.accelerations)
             acceleration = tip.tolist()
             turning_rate = float(coordinates[2] + model.points.rotation[:, -1] @ coordinates[3:])
         state = EntityState()

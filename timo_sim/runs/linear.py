@@ -400,8 +400,7 @@ def _output_names(model):
 def _outputs(model, motion, load):
     """Return the values of `_output_names` in a motion under a load."""
     motions, loads, half = motion[np.newaxis], load[np.newaxis], len(motion) // 2
-    accelerations, at_tip = model.accelerations(motions, model.state(motions), loads)
-    joints = Joints(model, motions, accelerations, loads, at_tip)
+    joints = Joints(model, motions, loads)
     q, tip = motions[:, 3:half], model.tip_point
     along, across = model.centre_line(q, tip)[0, 0] - [model.manipulator.hub_radius, 0.0]
     return np.concatenate([

@@ -23,8 +23,9 @@ from timo_sim.scene.parameters import checked, DEFAULTS, FLAG, PATH, warn
 from timo_sim.scene.scene import Scene
 from timo_sim.simulation.loads import pieces
 from timo_sim.simulation.simulator import Simulator
-from timo_sim.simulation.snapshot import add_bristles, applied, joints_of_run, Snapshot
+from timo_sim.simulation.snapshot import add_bristles, applied, Joints, Snapshot
 from timo_sim.simulation.warnings import DivergenceError
+from timo_sim.steps.steps import Samples
 from timo_sim.topics.outputs import with_angles
 
 if TYPE_CHECKING:
@@ -213,7 +214,7 @@ class Run(MotionFields, PointsOfArm):
                              'true for ~/root_strain')
         loads = self.loads()
         add_bristles(self.scene, self.model, self.values, loads)
-        return [joints_of_run(model, self.values[part], loads[part])
+        return [Joints(model, self.values[part], loads[part])
                 for model, part in self._pieces]
 
     def _of_joints(self, name):
@@ -326,18 +327,11 @@ def run_scene(scene: Scene, steps: int, sample_every: int = 1,
     while True:
         first = simulator.steps
         count = min(max(1, _REPORTED // sample_every) * sample_every, steps - first)
-        samples = slice(first // sample_every, (first + count) // sample_every + 1)
+        part = slice(first // sample_every, (first + count) // sample_every + 1)
         try:
-            motion[samples], heat[samples] = simulator.advance(count, sample_every=sample_every)
+            simulator.advance(count, room=Samples(sample_every, motion[part], heat[part]))
         except DivergenceError as error:
-            # A call that fails returns no samples: those that are good are taken again.
-            last = simulator.steps // sample_every * sample_every
-            simulator.reset()
-            simulator.advance(first)
-            samples = slice(samples.start, last // sample_every + 1)
-            motion[samples], heat[samples] = simulator.advance(
-                last - first, sample_every=sample_every)
-            error.run = run_until(last)
+            error.run = run_until(simulator.steps // sample_every * sample_every)
             raise
         report(count)
         if simulator.steps == steps:

@@ -11,14 +11,16 @@ from dataclasses import replace
 import math
 import sys
 
+import numpy as np
+
 from timo_sim.runs.run import Run, run_scene
 from timo_sim.scene.parameters import (
     checked, FLAG, Parameter, ParameterError, PARAMETERS, steps_in, warn)
 from timo_sim.scene.scene import load_scene, Scene, SceneLike
-from timo_sim.scene.static_shapes import MORE_MODES
-from timo_sim.simulation.finer import (
-    find_remedy, measure, MORE_OF_MODES, Motions, SHORTER_STEPS)
-from timo_sim.simulation.warnings import DivergenceError, more_axial
+from timo_sim.scene.static_shapes import MORE_MODES, needed_static
+from timo_sim.simulation.finer import choose_parts, distances, refine, tip_distances
+from timo_sim.simulation.warnings import (
+    DivergenceError, inaccurate, more_axial, MOST_APART, NO_FINER_RUN, unseen_load)
 
 _MOST_RUNS = 5         # whose errors are measured for a choice of modes and step
 _HORIZON = 10.0        # their sim time by default [s]
@@ -26,6 +28,8 @@ _MAX_STEPS = 200_000   # most steps of one
 _MARGIN = 2.0          # least ratio of the stated error to that of the choice
 _ENOUGH_COMPARED = 500  # samples at which the tips of two runs are compared, if there are more
 _MOST_SAMPLES = 20_000  # of a run whose rate of samples is not given
+_SHORTER_STEPS, _MORE_OF_MODES = 'a smaller integrator.step', 'more model.modes'
+_BEGUN = 0.1           # share of the distance that a warning needs, at which remedies are judged
 _STILL = 1e-13         # travel of a tip that only round-off moves [arm lengths]
 
 
@@ -33,19 +37,94 @@ def measure_error(run: Run, with_remedy: bool = True) -> Run:
     """
     Return a run of `run_scene` with its measured error, and the warning that this calls for.
 
-    `estimated_tip_error_m` and `estimated_deflection_error_m` are in its `stats`, see
-    `simulation.finer.measure`, which has `with_remedy`, too.
+    `estimated_tip_error_m` and `estimated_deflection_error_m` are in its `stats`. If a finer run
+    diverges or is far off, others with shorter steps are tried; errors are NaN if all diverge.
+    With `with_remedy` the warning of a large error names what moves the tip most, by up to four
+    more runs, otherwise all remedies. What comes after the first finer run is judged by the part
+    of the run until the error is a tenth of that which a warning needs, so that it costs little.
     """
     if len(run.t) < 2:
         return run
-    # Tips of a long run are compared at some of its samples, each of which takes a quarter step.
-    samples = len(run.t) - 1
-    seen = _thin(run, max(k for k in range(1, 1 + max(1, samples // _ENOUGH_COMPARED))
-                          if samples % k == 0))
-    errors, warning = measure(Motions(run.scene, seen.values, run.stats['steps']), run.warning,
-                              with_remedy)
+    errors, warning = _error(run, with_remedy)
     return replace(run, stats={**run.stats, 'estimated_tip_error_m': errors[0],
                                'estimated_deflection_error_m': errors[1]}, warning=warning)
+
+
+def _error(run, with_remedy):
+    # Tips of a long run are compared at some of its samples, each of which takes a quarter step.
+    samples, scene = len(run.t) - 1, run.scene
+    run = _thin(run, max(k for k in range(1, 1 + max(1, samples // _ENOUGH_COMPARED))
+                         if samples % k == 0))
+    scenes = (refine(scene, parts) for parts in choose_parts(scene))
+    fine = next((each for each in (_alike(run, finer) for finer in scenes) if each), None)
+    if fine is None:
+        return (math.nan, math.nan), run.warning or NO_FINER_RUN
+    errors, limit = _apart(run, fine), MOST_APART * scene.manipulator.arm.length
+    part = _until_apart(run, fine, _BEGUN * limit) if max(errors) > limit else run
+    while errors[0] > limit and (shorter := next(scenes, None)):
+        # If shorter steps of the finer run mend most of the distance, it was not that of the run.
+        begun = _alike(part, shorter)
+        if begun is None or _apart(part, begun)[0] > 0.5 * _apart(part, fine)[0] or (
+                found := _alike(run, shorter)) is None:
+            break
+        fine, errors = found, _apart(run, found)
+    # In `exact` the finer run shows already what loads that are too fast for the steps do: its own
+    # warning counts. In `newton` both runs may stay on a motion that is unstable in truth.
+    earlier = (unseen_load(fine.scene) if scene.values['model.formulation'] == 'exact'
+               else run.warning)
+    remedy = (_find_remedy(part, round(scene.step / fine.scene.step), _apart(part, fine),
+                           _BEGUN * limit)
+              if with_remedy and max(errors) > limit else None)
+    return errors, earlier or inaccurate(scene, errors[0], errors[1], remedy)
+
+
+def _alike(run, scene):
+    # The run of another scene with samples at the same times; None if it diverges.
+    steps = round(run.t[-1] / scene.step)
+    try:
+        return run_scene(scene, steps, steps // (len(run.t) - 1))
+    except DivergenceError:
+        return None
+
+
+def _apart(run, other):
+    # Largest distances between the tips of two runs, of which the second may be longer.
+    return tip_distances(run.model, run.values, other.model, other.values[:len(run.t)])
+
+
+def _until_apart(run, other, limit):
+    # The part of a run until the tips are so far apart [m], or all.
+    far = (distances(run.model, run.values, other.model, other.values) > limit).any(axis=0)
+    return _part(run, slice(1 + max(1, int(np.argmax(far))))) if far.any() else run
+
+
+def _find_remedy(run, parts, errors, limit):
+    """
+    Return a change of the scene that mends most of its error, or of that of its deflection.
+
+    Of steps, modes and equations, it is the first one that moves the tip by half of the error,
+    else the one that moves it most; it is '' if none moves it by a tenth. Axial modes move it,
+    too, if the steps do not resolve them: they are last. `parts` of a step take its place. The
+    error of the place counts if it is above the limit [m].
+    """
+    scene = run.scene
+    changes = {_SHORTER_STEPS: (parts, 0, 0, True), _MORE_OF_MODES: (1, None, 0, True)}
+    if not {*needed_static(scene.manipulator, scene.values['model.modes'])} <= {*scene.static}:
+        changes = {'model.static_modes auto': (1, 0, 0, False), **changes}
+    exact, stretches = (scene.values['model.formulation'] == 'exact',
+                        scene.manipulator.arm.stretches)
+    if exact and stretches:
+        changes[more_axial(scene)] = 1, 0, 1, True
+    elif not exact:
+        changes['model.formulation exact'] = 1, 0, 0, False
+    moved, place = {}, errors[0] <= limit
+    for text, change in changes.items():
+        other = _alike(run, refine(scene, *change))
+        moved[text] = 0.0 if other is None else _apart(run, other)[place]
+        if moved[text] > 0.5 * errors[place]:
+            return text
+    most = max(moved, key=lambda text: moved[text])
+    return most if moved[most] > 0.1 * errors[place] else ''
 
 
 @checked()
@@ -93,9 +172,8 @@ def choose_resolution(scene: SceneLike, duration: float = 0.0) -> Run:
             run = run_scene(scene, steps, enough_samples(steps))
         except DivergenceError:
             continue
-        motions = Motions(scene, run.values, steps)
-        errors = motions.distances(motions._replace(values=run.values[:1]))
-        if max(errors) < _STILL * scene.manipulator.arm.length:
+        moved = tip_distances(run.model, run.values, run.model, run.values[:1])
+        if max(moved) < _STILL * scene.manipulator.arm.length:
             raise ParameterError(
                 f'{stated} needs a scene that moves by its own loads or initial motion')
         run = measure_error(run, with_remedy=False)
@@ -105,14 +183,14 @@ def choose_resolution(scene: SceneLike, duration: float = 0.0) -> Run:
             return run
         if math.isnan(ratio):
             continue
-        remedy = find_remedy(motions, 2, errors, goal / _MARGIN)
+        remedy = _find_remedy(run, 2, errors, goal / _MARGIN)
         if max(errors) < least:
             least = max(errors)
             best = (f'{_MARGIN * least:.1e} m is, with N = {modes} and h = {1e3 * step:g} ms' + (
                 f': take {remedy}' if remedy else ''))
-        if remedy == MORE_OF_MODES:
+        if remedy == _MORE_OF_MODES:
             change = {'model.modes': max(modes + MORE_MODES, 5 * modes // 3)}
-        elif remedy in (SHORTER_STEPS, ''):  # whose errors are of fourth order
+        elif remedy in (_SHORTER_STEPS, ''):  # whose errors are of fourth order
             change['integrator.step'] = step / 2**min(3, math.ceil(math.log2(ratio) / 4.0))
         elif remedy == more_axial(scene):
             change = {'model.axial_modes': scene.values['model.axial_modes'] + 1}
@@ -227,9 +305,12 @@ def _say(text):
 
 
 def _thin(run, every):
-    return run if every == 1 else replace(
-        run, t=run.t[::every], values=run.values[::every],
-        friction_heat=run.friction_heat[::every])
+    return run if every == 1 else _part(run, slice(None, None, every))
+
+
+def _part(run, samples):
+    return replace(run, t=run.t[samples], values=run.values[samples],
+                   friction_heat=run.friction_heat[samples])
 
 
 def enough_samples(steps: int) -> int:

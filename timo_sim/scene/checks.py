@@ -22,9 +22,16 @@ _MAX_NUMBER = 1e50  # products of six numbers, as in an energy, do not overflow
 _OF_GEAR = [name for name in PARAMETERS if name.startswith(('motor.gear.', 'motor.rotor.'))]
 
 
-def check_gear(values: Mapping[str, Any]) -> None:
-    """Raise ParameterError if gear, rotor and friction of the motor do not fit together."""
-    elastic = values['motor.gear.stiffness']
+def _shown(value):
+    return f'{value:g}' if isinstance(value, float) else value if isinstance(
+        value, str) else short(value)
+
+
+def check_together(values: Mapping[str, Any]) -> None:
+    """Raise ParameterError if values of different parameters do not fit together."""
+    held, shaft, elastic = (
+        values[name] for name in ('carrier.held', 'motor.shaft', 'motor.gear.stiffness'))
+    fixed = fixed_axes(values)
     for name in () if elastic else _OF_GEAR:
         if values[name] != PARAMETERS[name].default:
             raise ParameterError(f'{name} needs motor.gear.stiffness > 0, got {elastic:g}')
@@ -34,37 +41,31 @@ def check_gear(values: Mapping[str, Any]) -> None:
         if values[rest] != 1.0 and not (values[speed] and values[reach]):
             raise ParameterError(f'{rest} = {values[rest]:g} needs {speed} and {reach} > 0, got '
                                  f'{values[speed]:g} and {values[reach]:g}')
-    spring, shaft = values['motor.spring.stiffness'], values['motor.shaft']
-    if spring and shaft == 'free' and values['arm.damping_of'] != 'clamped':
+    if values['motor.spring.stiffness'] and shaft == 'free' and (
+            values['arm.damping_of'] != 'clamped'):
         raise ParameterError('arm.damping_of must be clamped with a free shaft on a spring, which '
                              f'vibrates, too, got {values["arm.damping_of"]}')
-    if not elastic:
-        return
-    for name, good, rule in (
-            ('motor.rotor.inertia', values['motor.rotor.inertia'] > 0.0, '> 0 kg m2'),
-            ('motor.shaft', values['motor.shaft'] == 'free', 'free'),
-            ('arm.damping_of', values['arm.damping_of'] == 'clamped', 'clamped')):
-        if not good:
-            raise ParameterError(f'{name} must be {rule} with motor.gear.stiffness = {elastic:g}, '
-                                 f'got {values[name]}')
-
-
-def check_together(values: Mapping[str, Any]) -> None:
-    """Raise ParameterError if values of different parameters do not fit together."""
-    held, shaft, formulation = (
-        values[name] for name in ('carrier.held', 'motor.shaft', 'model.formulation'))
-    fixed = fixed_axes(values)
-    for name, rule, other, forbidden in (
+    # Rules that hold with some values of another parameter: numbers are 0 or > 0, texts as named.
+    gear, moving = 'motor.gear.stiffness', (
+        *VELOCITIES, 'initial.modal_coordinates', 'initial.modal_rates')
+    for name, rule, other, holds in (
+            ('motor.rotor.inertia', '> 0 kg m2', gear, elastic),
+            ('motor.shaft', 'free', gear, elastic),
+            ('arm.damping_of', 'clamped', gear, elastic),
             ('initial.shaft_velocity', '0', 'motor.shaft', shaft == 'locked'),
-            *((f'initial.carrier_{axis}_velocity', '0', 'carrier.held', fixed in (axis, 'both'))
-              for axis in 'xy'),
+            ('initial.carrier_x_velocity', '0', 'carrier.held', fixed in ('x', 'both')),
+            ('initial.carrier_y_velocity', '0', 'carrier.held', fixed in ('y', 'both')),
             ('initial.equilibrium', 'false', 'motor.shaft', shaft == 'driven'),
             *((name, 'empty or 0', 'initial.equilibrium', values['initial.equilibrium'])
-              for name in (*VELOCITIES, 'initial.modal_coordinates', 'initial.modal_rates')),
-            ('model.axial_modes', '0', 'model.formulation', formulation != 'exact')):
-        if forbidden and values[name]:
-            raise ParameterError(f'{name} must be {rule} with {other} = {values[other]}, got '
-                                 f'{short(values[name])}')
+              for name in moving),
+            ('model.axial_modes', '0', 'model.formulation',
+             values['model.formulation'] != 'exact'),
+            ('carrier.mass', '> 0 kg', 'carrier.held', fixed != 'both')):
+        value = values[name]
+        right = value == rule if isinstance(value, str) else bool(value) == rule.startswith('>')
+        if holds and not right:
+            raise ParameterError(f'{name} must be {rule} with {other} = {_shown(values[other])}, '
+                                 f'got {_shown(value)}')
     for axis in 'xy':
         given = [name for name in TERM_NAMES[f'carrier_acceleration_{axis}'] if values[name]]
         if driven_along(values, axis) and (held in (axis, 'both') or given):
@@ -74,8 +75,6 @@ def check_together(values: Mapping[str, Any]) -> None:
         if given and fixed not in (axis, 'both'):
             raise ParameterError(f'{given[0]} needs a carrier that is held along {axis}, got '
                                  f'carrier.held = {held}')
-    if fixed != 'both' and not values['carrier.mass']:
-        raise ParameterError(f'carrier.mass must be > 0 kg with carrier.held = {held}, got 0')
     if len(values['gravity']) != 2:
         raise ParameterError(f'gravity must have 2 elements, got {len(values["gravity"])}')
     if values['push.position'] > values['arm.length']:

@@ -18,15 +18,16 @@ from typing import Any
 import numpy as np
 
 from timo_sim.compiled.functions import WIDTH
-from timo_sim.model.layout import ACCELERATION, ANGLE, INPUTS, LOADS, STEP_LOADS
+from timo_sim.model.layout import ACCELERATION, ANGLE, INPUTS, LOADS, SPEED, STEP_LOADS
 from timo_sim.scene.parameters import ParameterError, same_length, short, whole_ratio
 from timo_sim.steps.loads import add_scene_loads, NEAR, PIECE, SceneLoads
 
 # Columns of the inputs that a scene may prescribe over time, by name, and these with place and
-# speed of a driven carrier.
+# speed of a driven carrier and the angle of a driven shaft.
 CHANNELS = {each.name: column for column, each in enumerate(INPUTS) if each.prescribed}
+SHAFT_DRIVE = 'angle'
 CURVES = {each.name: column for column, each in enumerate(INPUTS)
-          if each.prescribed or each.name.startswith('carrier_')}
+          if each.prescribed or each.name.startswith('carrier_') or each.name == SHAFT_DRIVE}
 
 
 @dataclass(frozen=True)
@@ -36,10 +37,6 @@ class Harmonic:
     amplitude: float
     frequency: float
     phase: float
-
-    def jumps(self) -> Sequence[float]:
-        """Return no time: it does not jump."""
-        return ()
 
 
 def _pieces(time, *coefficients):
@@ -101,10 +98,6 @@ class Drive:
     acceleration: tuple  # [rad/s2], the last 0
     order: int = 0
 
-    def jumps(self) -> Sequence[float]:
-        """Return no time: it does not jump."""
-        return ()
-
     def rows(self, step: float) -> np.ndarray:
         """Return its pieces for steps of this size, see `SceneLoads`."""
         time = on_boundaries(self.time, step)
@@ -125,30 +118,18 @@ class Drive:
 
 @dataclass(frozen=True)
 class Load:
-    """The loads of a scene: a tuple of terms to be summed for each of `CURVES`, and a drive."""
+    """The loads of a scene, and what drives it: terms to be summed by names of `CURVES`."""
 
     terms: dict[str, tuple[Any, ...]]
-    drive: Any = None
 
     def __bool__(self):
         return any(self.terms.values())
-
-    def on_boundaries(self, step: float) -> 'Load':
-        """Return the loads with times near the boundary of two steps [s] moved onto it."""
-        def moved(term):
-            return term if isinstance(term, Harmonic) or term is None else replace(
-                term, time=tuple(on_boundaries(term.time, step).tolist()))
-        if self.drive is None and all(isinstance(term, Harmonic) for terms in self.terms.values()
-                                      for term in terms):
-            return self
-        return Load({channel: tuple(map(moved, terms)) for channel, terms in self.terms.items()},
-                    moved(self.drive))
 
     @property
     def columns(self) -> list[int]:
         """The columns of loads that are not zero, see `model.layout`, a list of int."""
         found = [CURVES[channel] for channel, terms in self.terms.items() if terms]
-        return found if self.drive is None else [*found, *range(ANGLE, ACCELERATION + 1)]
+        return [*found, *range(SPEED, ACCELERATION + 1)] if ANGLE in found else found
 
     def fastest(self) -> tuple[float, str]:
         """Return the highest frequency of a harmonic term [Hz] and its channel, or (0, '')."""
@@ -176,9 +157,8 @@ class Load:
         known = self.__dict__.setdefault('_rows', {})
         if step not in known:
             harmonics, curves, pieces = [], [], [np.empty((0, PIECE))]
-            every = [(CURVES[channel], term) for channel, terms in self.terms.items()
-                     for term in terms] + [(ANGLE, self.drive)] * (self.drive is not None)
-            for column, term in every:
+            for column, term in ((CURVES[channel], term) for channel, terms in self.terms.items()
+                                 for term in terms):
                 if isinstance(term, Harmonic):
                     harmonics.append((column, term.amplitude, term.frequency,
                                       math.fmod(term.phase, 2.0 * math.pi)))
@@ -193,7 +173,7 @@ class Load:
 
 
 def on_boundaries(times: Any, step: float) -> np.ndarray:
-    """Return times [s], with those near the boundary of two steps moved onto it."""
+    """Return times [s], with those near the boundary of two steps moved onto it, (n,)."""
     times = np.asarray(times, dtype=float)
     whole = np.rint(times / step)
     return np.where(np.abs(times / step - whole) <= NEAR, whole * step, times)
@@ -211,7 +191,7 @@ def load_of(values: Mapping[str, Any]) -> Load:
     terms = {channel: _terms_of(channel, tuple([values[name] for name in names]),
                                 values['integrator.step'])
              for channel, names in TERM_NAMES.items()}
-    return Load({**terms, **_carrier_drive(values)}, _drive(values))
+    return Load({**terms, **_carrier_drive(values), SHAFT_DRIVE: _drive(values)})
 
 
 @lru_cache(maxsize=4 * len(TERM_NAMES))
@@ -239,7 +219,7 @@ def _terms(prefix, values, step):
         for jump in term(time, value).jumps():
             place = bisect_left(time, jump)
             whole_ratio(f'{names[0]}[{place}]', jump, 'integrator.step', step)
-        yield term(time, value)
+        yield term(_whole(time, step), value)
 
 
 def _drive(values):
@@ -250,11 +230,16 @@ def _drive(values):
         raise ParameterError(f'motor.drive must be given with motor.shaft = driven, and only '
                              f'then; got {len(time)} points with motor.shaft = {shaft}')
     if shaft == 'locked':
-        return Drive((0.0,), (values['initial.shaft'],), (0.0,), (0.0,))
+        return Drive((0.0,), (values['initial.shaft'],), (0.0,), (0.0,)),
     if not time:
-        return None
+        return ()
     _check_points(names, points)
-    return Drive(*points)
+    return Drive(_whole(time, values['integrator.step']), *points[1:]),
+
+
+def _whole(time, step):
+    # What is on a boundary of two steps stays there, however the steps are divided.
+    return tuple(on_boundaries(time, step).tolist())
 
 
 def _check_points(names, points):
@@ -285,6 +270,7 @@ def _carrier_drive(values):
         if any(of[name] for name in names[1:]):
             points = same_length({_DRIVE + name: of[name] for name in names})
             _check_points([_DRIVE + name for name in names], points)
+            points = _whole(points[0], values['integrator.step']), *points[1:]
         terms = same_length({
             f'{_DRIVE}harmonic.{axis}': of[f'harmonic.{axis}'],
             f'{_DRIVE}harmonic.frequency': frequency,

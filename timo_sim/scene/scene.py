@@ -15,7 +15,7 @@ from typing import Any
 
 import numpy as np
 
-from timo_sim.compiled.constants import Packed
+from timo_sim.compiled.constants import pack, Packed
 from timo_sim.compiled.entry import Call
 from timo_sim.model import formulation_class
 from timo_sim.model.bodies import Constraints, Manipulator
@@ -27,18 +27,17 @@ from timo_sim.model.statics import equilibrium
 from timo_sim.scene.bodies import (
     constraints_of, dry_friction_of, left_out_of, manipulator_of, modal_count)
 from timo_sim.scene.checks import (
-    check_counts, check_finite, check_gear, check_slope, check_together, physical)
+    check_counts, check_finite, check_slope, check_together, physical)
 from timo_sim.scene.files import flatten, read_parameter_file
-from timo_sim.scene.loads import Load, load_of, payloads_of
+from timo_sim.scene.loads import Load, load_of, payloads_of, SHAFT_DRIVE
 from timo_sim.scene.parameters import (
     changed, check, checked, complete, DELAYS, driven_along, FUNCTION, gives_arm, MAPPING, NUMBER,
     ParameterError, PARAMETERS, POSITIONS, SCENE, short, VELOCITIES, warn, whole_ratio)
 from timo_sim.scene.plausible import find_implausible, find_outdated
-from timo_sim.scene.sensors import errors_of
 from timo_sim.scene.static_shapes import (
     fastest_shape, needed_static, SLOWED, STATIC, with_shapes)
-from timo_sim.steps.sensors import add_errors
-from timo_sim.topics.outputs import Output, outputs
+from timo_sim.steps.sensors import add_errors, SensorErrors
+from timo_sim.topics.outputs import Output, outputs, SENSORS, title
 
 # Phase of an axial vibration in a step above which a scene has it slowed down [rad]: bent arms
 # diverged from 0.88 on.
@@ -126,9 +125,10 @@ class Scene:
         values = self.values
         return _shared_model(
             values['model.formulation'], body, values['model.modes'],
-            tuple(np.ravel(damping).tolist()), self.constraints, self.static,
-            values['model.axial_modes'], tuple(values['gravity']), basis or body,
-            values['push.position'], (self.fastest_shape, self.fastest))
+            tuple(np.ravel(damping).tolist()), self.constraints, static=self.static,
+            axial=values['model.axial_modes'], gravity=tuple(values['gravity']),
+            basis=basis or body, push=values['push.position'],
+            fastest=(self.fastest_shape, self.fastest))
 
     @cached_property
     def _own_model(self):
@@ -192,7 +192,15 @@ class Scene:
     @cached_property
     def sensor_errors(self) -> Packed:
         """`SensorErrors` of the axes of SENSORS, in their order."""
-        return errors_of(self.values)
+        axes = [(2 * number + axis, sensor) for number, sensor in enumerate(SENSORS)
+                for axis in range(len(sensor.columns))]
+        noise, bias, resolution = np.array([[
+            self.values[f'sensor.{sensor.name}.{kind}'] for _, sensor in axes]
+            for kind in ('noise', 'bias', 'resolution')])
+        late = [self.values[f'sensor.{title(sensor.topic)}.delay'] for _, sensor in axes]
+        return pack(SensorErrors(
+            seed=self.values['sensor.seed'], key=np.array([key for key, _ in axes]), noise=noise,
+            bias=bias, resolution=resolution, delay=np.rint(np.array(late) / self.step)))
 
     @cached_property
     def add_sensor_errors(self) -> Call:
@@ -280,7 +288,7 @@ class Scene:
         position, velocity = ([values[name] for name in names] for names in (
             POSITIONS, VELOCITIES))
         # Drives at the end of step -1: the stages of a step with a kink see them smoothed.
-        driven = [driven_along(values, axis) for axis in 'xy'] + [self.load.drive is not None]
+        driven = [*(driven_along(values, axis) for axis in 'xy'), self.load.terms[SHAFT_DRIVE]]
         if any(driven):
             at_start = self.load.stages(-1, 1, self.step)[0, AFTER]
             for k, columns in enumerate(((PLACE_X, SPEED_X), (PLACE_Y, SPEED_Y), (ANGLE, SPEED))):
@@ -384,7 +392,6 @@ def scene_from(values: Mapping[str, Any], static: tuple[str, ...] | None = None,
     values = MappingProxyType({
         name: tuple(value) if isinstance(value := values[name], list) else value
         for name in _SCENE_NAMES})
-    check_gear(values)
     check_together(values)
     body = manipulator_of(values)
     if static is None:
@@ -434,8 +441,5 @@ def project_on_modes(scene: SceneLike, deflection: Callable[[np.ndarray], Any],
 
 # Scenes that differ in loads, limits or initial motion share their equations of motion.
 @lru_cache(maxsize=4)
-def _shared_model(name, body, modes, damping, constraints, static, axial, gravity, basis, push,
-                  fastest):
-    return formulation_class(name)(body, modes, damping[0] if len(damping) == 1 else damping,
-                                   constraints, static=static, axial=axial, gravity=gravity,
-                                   basis=basis, push=push, fastest=fastest)
+def _shared_model(name, *arguments, **keywords):
+    return formulation_class(name)(*arguments, **keywords)

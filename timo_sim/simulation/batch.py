@@ -15,7 +15,7 @@ import numpy as np
 from timo_sim.model.layout import (
     AFTER, INPUTS, LOADS, Motion, rotate, START, STEP_LOADS, TORQUE, VOLTAGE)
 from timo_sim.scene.bodies import motor_constants
-from timo_sim.scene.loads import CURVES, Load
+from timo_sim.scene.loads import CURVES, Load, SHAFT_DRIVE
 from timo_sim.scene.parameters import (
     fixed_axes, numbers, Parameter, ParameterError, steps_in)
 from timo_sim.scene.scene import load_scene, Scene, scene_from, SceneLike
@@ -40,15 +40,13 @@ class LaneLoads:
 
     def __init__(self, kinds: list[Scene], which: np.ndarray, lanes: LaneSteps) -> None:
         self._step, self._kinds, self._which, self._lanes = kinds[0].step, kinds, which, lanes
-        # What varies by itself, the drive or the terms of a channel: its columns, all different
+        # What varies by itself, the terms of a channel: its columns, all different
         # loads, and which of them each lane has. Lanes share what does not differ among them.
         self._parts = []
-        for name in ('drive', *CURVES):
-            own = [scene.load.drive if name == 'drive' else scene.load.terms.get(name, ())
-                   for scene in kinds]
-            keys = own if name == 'drive' else [id(terms) for terms in own]
-            loads = [Load({}, each) if name == 'drive' else Load({name: each})
-                     for each in dict(zip(keys, own)).values()]
+        for name in CURVES:
+            own = [scene.load.terms.get(name, ()) for scene in kinds]
+            keys = own if name == SHAFT_DRIVE else [id(terms) for terms in own]
+            loads = [Load({name: each}) for each in dict(zip(keys, own)).values()]
             columns = sorted({column for load in loads for column in load.columns})
             if columns:
                 place = {key: k for k, key in enumerate(dict.fromkeys(keys))}

@@ -2,7 +2,7 @@
 # SPDX-License-Identifier: Apache-2.0
 
 """
-Finer runs of a scene, from whose tip the error of a run is measured, and Simulators with one.
+Finer scenes, from whose tip the error of a run is measured, and Simulators that run one.
 
 A finer run has one or two more modes in bending and more axial modes, `exact` equations, and a
 step of half the length, or less where it must resolve more. The distance between the tips of both
@@ -32,14 +32,11 @@ from timo_sim.scene.parameters import (
     checked, FLAG, FUNCTION, ParameterError, PARAMETERS, WHOLE)
 from timo_sim.scene.scene import load_scene, Scene, SceneLike
 from timo_sim.scene.static_shapes import (
-    AXIAL_PHASE, MORE_MODES, needed_static, needed_static_of_finer, one_more_does)
+    AXIAL_PHASE, MORE_MODES, needed_static_of_finer, one_more_does)
 from timo_sim.simulation.simulator import Simulator
-from timo_sim.simulation.warnings import (
-    DivergenceError, inaccurate, more_axial, MOST_APART, NO_FINER_RUN, unseen_load)
+from timo_sim.simulation.warnings import DivergenceError, inaccurate, NO_FINER_RUN, unseen_load
 
 _STRETCHES = 3  # they answer centrifugal forces, an acceleration, a force on the tip
-SHORTER_STEPS, MORE_OF_MODES = 'a smaller integrator.step', 'more model.modes'
-_BEGUN = 0.1  # share of the distance that a warning needs, at which remedies are judged
 PARTS = 2, 8, 32  # of a step, from which those of the finer run are chosen
 # A pick-up excites all modes, and the error falls only as 1/N: there are more of them.
 _MODES_OF_IMPACT, _MOST_MODES = 4, 40 + MORE_MODES
@@ -106,8 +103,7 @@ def refine(scene: Scene, parts: int, modes: int | None = None, axial: int | None
     if not same_equations:
         lists['model.formulation'] = 'exact'
     # Bodies and constraints are the same, and checked.
-    found = replace(scene, load=scene.load.on_boundaries(scene.step), step=scene.step / parts,
-                    values=MappingProxyType({
+    found = replace(scene, step=scene.step / parts, values=MappingProxyType({
                         **values, **_as_tuples(lists), 'model.accuracy': 0.0,
                         'model.modes': bending + modes, 'model.axial_modes': stretching + axial,
                         'integrator.step': scene.step / parts}),
@@ -167,12 +163,13 @@ def tip_distances(model: Formulation, motions: np.ndarray, other: Formulation,
     Their motions have shapes (n, 2 (3 + N)) and (n, 2 (3 + M)) and are at the same times. The
     second distance is that of the deflections: the shaft's error is in it, too.
     """
-    world, arm = _distances(model, motions, other, others).max(axis=1, initial=0.0).tolist()
+    world, arm = distances(model, motions, other, others).max(axis=1, initial=0.0).tolist()
     return world, arm
 
 
-def _distances(model, motions, other, others):
-    # Of both kinds, at each time, (2, n).
+def distances(model: Formulation, motions: np.ndarray, other: Formulation,
+              others: np.ndarray) -> np.ndarray:
+    """Return the distances of both kinds at each time, shape (2, n)."""
     tips = _complex(model.tips(motions)), _complex(other.tips(others))
     places = [_complex(values) + np.exp(1j * values[:, 2]) * tip
               for values, tip in zip((motions, others), tips)]
@@ -181,104 +178,6 @@ def _distances(model, motions, other, others):
 
 def _complex(values):
     return np.ascontiguousarray(values[:, :2]).view(complex)[:, 0]  # x + iy
-
-
-class Motions(NamedTuple):
-    """Motions of a scene at equal distances in time, (1 + n, 2 (3 + N)), and its steps."""
-
-    scene: Scene
-    values: np.ndarray
-    steps: int
-
-    def alike(self, scene: Scene) -> 'Motions | None':
-        """Return those of another scene at the same times; None if its run diverges."""
-        steps = round(self.scene.step / scene.step) * self.steps
-        try:
-            return Motions(scene, Simulator(scene).advance(
-                steps, sample_every=steps // (len(self.values) - 1))[0], steps)
-        except DivergenceError:
-            return None
-
-    def distances(self, other: 'Motions') -> tuple[float, float]:
-        """
-        Return the largest distances between the tips of both, see `tip_distances`.
-
-        The other one may be longer.
-        """
-        return tip_distances(self.scene.build(), self.values, other.scene.build(),
-                             other.values[:len(self.values)])
-
-    def until_apart(self, other: 'Motions', limit: float) -> 'Motions':
-        """Return the part until the tips are so far apart [m], or all."""
-        far = (_distances(self.scene.build(), self.values, other.scene.build(), other.values)
-               > limit).any(axis=0)
-        samples = len(self.values) - 1
-        count = max(1, int(np.argmax(far))) if far.any() else samples
-        return self._replace(values=self.values[:1 + count], steps=self.steps // samples * count)
-
-
-def measure(run: Motions, warning: str | None,
-            with_remedy: bool = True) -> tuple[tuple[float, float], str | None]:
-    """
-    Return the errors of the tip's place and deflection in a run, and the warning it calls for.
-
-    If a finer run diverges or is far off, others with shorter steps are tried; errors are NaN if
-    all diverge. `warning` is that of the run so far. With `with_remedy` the warning of a large
-    error names what moves the tip most, by up to four more runs, otherwise all remedies. What
-    comes after the first finer run is judged by the part of the run until the error is a tenth
-    of that which a warning needs, so that it costs little.
-    """
-    scene = run.scene
-    scenes = (refine(scene, parts) for parts in choose_parts(scene))
-    fine = next((each for each in map(run.alike, scenes) if each is not None), None)
-    if fine is None:
-        return (math.nan, math.nan), warning or NO_FINER_RUN
-    errors, limit = run.distances(fine), MOST_APART * scene.manipulator.arm.length
-    part = run.until_apart(fine, _BEGUN * limit) if max(errors) > limit else run
-    while errors[0] > limit and (shorter := next(scenes, None)):
-        # If shorter steps of the finer run mend most of the distance, it was not that of the run.
-        begun = part.alike(shorter)
-        if begun is None or part.distances(begun)[0] > 0.5 * part.distances(fine)[0] or (
-                found := run.alike(shorter)) is None:
-            break
-        fine, errors = found, run.distances(found)
-    # In `exact` the finer run shows already what loads that are too fast for the steps do: its own
-    # warning counts. In `newton` both runs may stay on a motion that is unstable in truth.
-    earlier = (unseen_load(fine.scene) if scene.values['model.formulation'] == 'exact'
-               else warning)
-    remedy = (find_remedy(part, round(scene.step / fine.scene.step), part.distances(fine),
-                          _BEGUN * limit)
-              if with_remedy and max(errors) > limit else None)
-    return errors, earlier or inaccurate(scene, errors[0], errors[1], remedy)
-
-
-def find_remedy(run: Motions, parts: int, errors: tuple[float, float], limit: float) -> str:
-    """
-    Return a change of the scene that mends most of its error, or of that of its deflection.
-
-    Of steps, modes and equations, it is the first one that moves the tip by half of the error,
-    else the one that moves it most; it is '' if none moves it by a tenth. Axial modes move it,
-    too, if the steps do not resolve them: they are last. `parts` of a step take its place. The
-    error of the place counts if it is above the limit [m].
-    """
-    scene = run.scene
-    changes = {SHORTER_STEPS: (parts, 0, 0, True), MORE_OF_MODES: (1, None, 0, True)}
-    if not {*needed_static(scene.manipulator, scene.values['model.modes'])} <= {*scene.static}:
-        changes = {'model.static_modes auto': (1, 0, 0, False), **changes}
-    exact, stretches = (scene.values['model.formulation'] == 'exact',
-                        scene.manipulator.arm.stretches)
-    if exact and stretches:
-        changes[more_axial(scene)] = 1, 0, 1, True
-    elif not exact:
-        changes['model.formulation exact'] = 1, 0, 0, False
-    moved, place = {}, errors[0] <= limit
-    for text, change in changes.items():
-        other = run.alike(refine(scene, *change))
-        moved[text] = 0.0 if other is None else run.distances(other)[place]
-        if moved[text] > 0.5 * errors[place]:
-            return text
-    most = max(moved, key=lambda text: moved[text])
-    return most if moved[most] > 0.1 * errors[place] else ''
 
 
 class _Call(NamedTuple):

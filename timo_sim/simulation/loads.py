@@ -14,7 +14,8 @@ import numpy as np
 
 from timo_sim.compiled.constants import pack, Packed
 from timo_sim.model.formulation import Formulation
-from timo_sim.model.layout import INPUTS, LOADS, rotate, STEP_LOADS, TIP_I, TIP_II
+from timo_sim.model.layout import (
+    INPUTS, LOADS, rotate, STEP_LOADS, TIP_I, TIP_II, TORQUE, VOLTAGE)
 from timo_sim.model.statics import pick_up
 from timo_sim.scene.bodies import motor_constants
 from timo_sim.scene.parameters import did_you_mean, numbers, ParameterError, short
@@ -68,6 +69,25 @@ def commanded_load(values: Mapping[str, Any], many: tuple[int, ...] = (),
                     raise ParameterError(f'{each.name} = {lacking.flat[0]:g} {each.unit} needs '
                                          f'{each.needs} > 0, got 0')
     return load
+
+
+def unit_loads(values: Mapping[str, Any], inputs: Iterable[str]) -> np.ndarray:
+    """Return what one of each input adds to a load, shape (k, LOADS); the names are ARGUMENTS."""
+    inputs = list(inputs)
+    check_arguments(inputs, 'inputs')
+    columns = [column for name in inputs for column in np.ravel(ARGUMENTS[name])]
+    for each in (INPUTS[column] for column in columns):
+        if each.needs and not values[each.needs]:
+            raise ParameterError(f'input {each.name} needs {each.needs} > 0, got 0')
+    return unit_loads_of(values, columns)
+
+
+def unit_loads_of(values: Mapping[str, Any], columns: Sequence[int]) -> np.ndarray:
+    """Return what one in each of some columns adds to a load; a voltage adds its torque, too."""
+    unit = np.zeros((len(columns), LOADS))
+    unit[range(len(columns)), columns] = 1.0
+    unit[:, TORQUE] += motor_constants(values)[0] * unit[:, VOLTAGE]
+    return unit
 
 
 def whole_load(commanded: Any, *shapes: tuple[int, ...]) -> np.ndarray:

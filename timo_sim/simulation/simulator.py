@@ -11,7 +11,7 @@ from dataclasses import replace
 import math
 import os
 import threading
-from typing import Any
+from typing import Any, NamedTuple
 import weakref
 
 import numpy as np
@@ -25,9 +25,8 @@ from timo_sim.scene.parameters import (
     TEXTS)
 from timo_sim.scene.scene import load_scene, scene_from, SceneLike
 from timo_sim.simulation import warnings
-from timo_sim.simulation.derivatives import StepDerivatives, unit_loads
 from timo_sim.simulation.loads import (
-    Actuators, commanded_load, LoadTable, tip_of, TipLoad, whole_load)
+    Actuators, commanded_load, LoadTable, tip_of, TipLoad, unit_loads, whole_load)
 from timo_sim.simulation.snapshot import Sensors, Snapshot
 from timo_sim.simulation.warnings import DivergenceError
 from timo_sim.steps.derivatives import step_derivatives
@@ -81,6 +80,18 @@ class Stateful:
     def __getstate__(self):
         with self._lock:
             return deepcopy({name: each for name, each in vars(self).items() if name != '_lock'})
+
+
+class StepDerivatives(NamedTuple):
+    """
+    Derivatives of the motion after some steps, see `Simulator.step_derivatives`.
+
+    `by_motion`[i, j], (2 (3 + N), 2 (3 + N)), is that of its number i by number j of the motion
+    before them, `by_input`, (2 (3 + N), k), are by the inputs, each constant during the steps.
+    """
+
+    by_motion: np.ndarray
+    by_input: np.ndarray
 
 
 class Simulator(Stateful, PointsOfArm):
@@ -194,8 +205,8 @@ class Simulator(Stateful, PointsOfArm):
             self.integration.reset(motion)
             # Without speeds, deflection, loads, drive, gravity and spring nothing changes until a
             # command.
-            self._resting = not (self.scene.load or self.scene.load.drive or motion[3:].any()
-                                 or self.model.gravity.any() or self.model.manipulator.spring)
+            self._resting = not (self.scene.load or motion[3:].any() or self.model.gravity.any()
+                                 or self.model.manipulator.spring)
             self._origin = self.steps
             self._table = LoadTable(self.scene, Actuators(self.scene.values))
             self._load = self.scene.load_at_start()
@@ -245,9 +256,7 @@ class Simulator(Stateful, PointsOfArm):
                 self._table.actuators.warm_up()
                 add_errors.of(self.scene.sensor_errors)
                 self.model.energy(motion[np.newaxis])
-                effort, snapshot = self.model.effort, self.snapshot()
-                effort(motion[np.newaxis], snapshot.accelerations[0][np.newaxis],
-                       self._load[np.newaxis])
+                self.snapshot().joints.reactions
 
     def step(self, *, duration: float | None = None, **commands: Any) -> Motion:
         """
@@ -352,13 +361,14 @@ class Simulator(Stateful, PointsOfArm):
         with self._lock:
             self._state, self._resting = self.model.state(values), False
 
-    def advance(self, count: int, commanded: np.ndarray | None = None,
-                sample_every: int = 0) -> tuple[np.ndarray, np.ndarray]:
+    def advance(self, count: int, commanded: np.ndarray | None = None, sample_every: int = 0,
+                room: Samples | None = None) -> tuple[np.ndarray, np.ndarray]:
         """
         Advance by `count` steps.
 
         `commanded`, shape (LOADS,), are commands during all of them, see `model.layout`, which act
-        besides the scene's loads. Samples are taken each `sample_every` steps, with 0 none.
+        besides the scene's loads. Samples are taken each `sample_every` steps, with 0 none, or
+        into the arrays of `room`, which has those up to the last good step after an error.
 
         Returns
         -------
@@ -382,7 +392,7 @@ class Simulator(Stateful, PointsOfArm):
         if commanded is not None:
             commanded = whole_load(commanded, (LOADS,))
         with self._lock:
-            samples = self.integration.samples(count, sample_every)
+            samples = room or self.integration.samples(count, sample_every)
             self._advance(count, commanded, samples)
             return samples.motions, samples.heat
 

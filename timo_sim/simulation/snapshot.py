@@ -35,20 +35,23 @@ class Joints:
     """
     Forces of carrier and shaft, moment and strain at the root in n motions, computed on demand.
 
-    `motions`, (n, 2 (3 + N)), have these accelerations of coordinates, (n, 3 + N), and of the tip
-    in world axes, (n, 2), under loads that act, (n, LOADS), dry friction included.
+    `motions` are (n, 2 (3 + N)), their states (n, m), by default computed from them; `loads`,
+    (n, LOADS), are those that act, dry friction included.
     """
 
-    def __init__(self, model: Formulation, motions: np.ndarray, accelerations: np.ndarray,
-                 loads: np.ndarray, tip: np.ndarray | None = None) -> None:
-        self.model, self.motions, self._loads, self._tip = model, motions, loads, tip
-        self._accelerations = accelerations
-        self._applied = applied(model, motions, loads)
-        self._applied[:, 2] += spring_torque(model.manipulator, motions[:, 2])
+    def __init__(self, model: Formulation, motions: np.ndarray, loads: np.ndarray,
+                 states: np.ndarray | None = None) -> None:
+        self.model, self.motions, self._loads = model, motions, loads
+        self._states = model.state(motions) if states is None else states
+
+    @cached_property
+    def accelerations(self) -> tuple[np.ndarray, np.ndarray]:
+        """Accelerations of the coordinates, (n, 3 + N), and of the tip in world axes, (n, 2)."""
+        return self.model.accelerations(self.motions, self._states, self._loads)
 
     @cached_property
     def _needed(self):
-        return self.model.effort(self.motions, self._accelerations, self._loads)
+        return self.model.effort(self.motions, self.accelerations[0], self._loads)
 
     @property
     def reactions(self) -> np.ndarray:
@@ -58,7 +61,9 @@ class Joints:
         Loads and a spring are not part of it. For a joint that is free it is the friction of the
         equations.
         """
-        return self._needed - self._applied
+        given = applied(self.model, self.motions, self._loads)
+        given[:, 2] += spring_torque(self.model.manipulator, self.motions[:, 2])
+        return self._needed - given
 
     @property
     def root_moment(self) -> np.ndarray:
@@ -67,7 +72,7 @@ class Joints:
 
     @cached_property
     def _root_forces(self):
-        model, specific = self.model, self._accelerations.T.copy()
+        model, specific = self.model, self.accelerations[0].T.copy()
         specific[:2] -= model.gravity[:, np.newaxis]
         return root_forces(model.tables, model.root, self.motions.T, specific, self._needed.T,
                            self._loads.T)
@@ -82,23 +87,13 @@ class Joints:
         """Specific force at the tip, acceleration less gravity, in its axes, (n, 2) [m/s2]."""
         motion, model = Motion(self.motions), self.model
         turned = motion.shaft + model.section_rotation(motion.q, model.tip_point)[:, 0]
-        return np.column_stack(rotate(-turned, *(self._tip - model.gravity).T))
+        return np.column_stack(rotate(-turned, *(self.accelerations[1] - model.gravity).T))
 
     @property
     def tip_turning(self) -> np.ndarray:
         """Angular velocity of the end effector, shape (n,) [rad/s]."""
         motion = Motion(self.motions)
         return motion.shaft_velocity + motion.qdot @ self.model.points.rotation[:, -1]
-
-
-def joints_of_run(model: Formulation, motions: np.ndarray, loads: np.ndarray) -> Joints:
-    """
-    Return the Joints of sampled motions of a scene, (n, 2 (3 + N)).
-
-    The loads, (n, LOADS), are those that act, dry friction included.
-    """
-    accelerations, tip = model.accelerations(motions, model.state(motions), loads)
-    return Joints(model, motions, accelerations, loads, tip)
 
 
 def add_bristles(scene: Scene, model: Formulation, motions: np.ndarray, loads: np.ndarray) -> None:
@@ -199,19 +194,10 @@ class Snapshot:
         return self._values[3:self._half] + self._values[self._half + 3:]
 
     @cached_property
-    def accelerations(self) -> tuple[np.ndarray, np.ndarray]:
-        """Accelerations of the coordinates, (3 + N,), and of the tip in world axes, (2,)."""
-        state, acting = self._acts
-        found, tip = self.model.accelerations(
-            self.motion[np.newaxis], state[np.newaxis], acting[np.newaxis])
-        return found[0], tip[0]
-
-    @cached_property
     def joints(self) -> Joints:
         """Forces, moment and strain at the root, and what an IMU shows: Joints of one motion."""
-        found, tip = self.accelerations
-        return Joints(self.model, self.motion[np.newaxis], found[np.newaxis],
-                      self._acts[1][np.newaxis], tip[np.newaxis])
+        state, acting = self._acts
+        return Joints(self.model, self.motion[np.newaxis], acting[np.newaxis], state[np.newaxis])
 
     @cached_property
     def effort(self) -> tuple[float, ...]:
