@@ -1,7 +1,7 @@
 # Copyright 2026 The timo_sim authors
 # SPDX-License-Identifier: Apache-2.0
 
-"""Steps: estimates of their errors, warnings, divergence, and none at rest."""
+"""Steps: estimates of their errors, warnings, divergence, rest."""
 
 import tracemalloc
 import warnings
@@ -13,7 +13,6 @@ import timo_sim
 from timo_sim.model import FORMULATIONS
 from timo_sim.model.layout import LOADS, TORQUE
 from timo_sim.simulation.simulator import Simulator
-from timo_sim.steps.steps import Steps
 
 
 def error_of(step, every, duration=4.0, axial=1, **values):
@@ -87,38 +86,14 @@ def test_divergence_names_place_time_and_remedy_and_keeps_the_last_good_state():
     assert np.abs(block.motion.values[3:6]) @ reach[3:] < 10.0 * length
 
 
-LONG = 700  # steps
-
-
-def torque(value):
-    """Return the load of a torque."""
-    load = np.zeros(LOADS)
-    load[TORQUE] = value
-    return load
-
-
-def history(scene):
-    """Return motions of a simulator at rest, then under a torque, then without one again."""
-    simulator = Simulator(scene)
-    motions = list(simulator.advance(LONG, sample_every=1)[0])
-    assert simulator.steps == LONG and len(motions) == 1 + LONG
-    for k in range(LONG, 2 * LONG):
-        simulator.advance(1, torque(2.0 if k < LONG + 50 else 0.0))
-        motions.append(simulator.motion.values)
-    return np.array(motions)
-
-
 @pytest.mark.parametrize('formulation', FORMULATIONS)
 @pytest.mark.parametrize('held', ['none', 'x'])
-def test_skipped_steps_give_the_same_bits_as_computed_ones(formulation, held, monkeypatch):
-    scene = timo_sim.load_scene({}, {
+def test_an_arm_at_rest_stays_there_to_the_last_bit(formulation, held):
+    motions, _ = Simulator(timo_sim.load_scene({}, {
         'model.formulation': formulation, 'carrier.held': held, 'initial.shaft': 0.7,
         'initial.carrier_x': 0.3, 'initial.carrier_y': -1.7, 'arm.damping_ratio': [0.01]})
-    skipped = history(scene)
-    never = property(lambda _: False, lambda *_: None)
-    monkeypatch.setattr(Simulator, '_resting', never, raising=False)
-    assert skipped.tobytes() == history(scene).tobytes()
-    assert skipped[LONG + 1, 2] != skipped[LONG, 2] != skipped[-1, 2]
+    ).advance(700, sample_every=1)
+    assert len(motions) == 701 and (motions == motions[0]).all()
 
 
 SPINNING = {'carrier.held': 'y', 'integrator.step': 0.002, 'initial.shaft_velocity': 10.0,
@@ -164,40 +139,6 @@ def test_bits_do_not_depend_on_how_many_steps_are_done_at_once(values):
     assert np.ptp(motions[:, 2]) > 0.02
     whole.reset()
     assert whole.advance(630, sample_every=7)[0].tobytes() == motions.tobytes()
-
-
-def test_no_step_is_computed_at_rest(monkeypatch):
-    computed = []
-    advance = Steps.advance
-
-    def counting(steps, state, load, loads, *samples):
-        computed.append(len(loads))
-        return advance(steps, state, load, loads, *samples)
-
-    monkeypatch.setattr(Steps, 'advance', counting)
-    simulator = Simulator(timo_sim.load_scene({}))
-    simulator.advance(LONG)
-    assert simulator.nanoseconds == LONG * 1000000 and not computed
-    simulator.advance(1, torque(1.0))
-    simulator.advance(5, torque(0.0))
-    assert sum(computed) == 6
-    # After a reset it rests again.
-    simulator.reset()
-    simulator.advance(LONG)
-    assert simulator.steps == 2 * LONG + 6 and sum(computed) == 6
-
-
-@pytest.mark.parametrize('moving', [
-    {'initial.carrier_x_velocity': 0.1}, {'initial.carrier_y_velocity': 0.1},
-    {'initial.shaft_velocity': 0.1}, {'initial.modal_coordinates': [0.0, 0.0, 1e-3]},
-    {'initial.modal_rates': [1e-3, 0.0, 0.0]},
-    {'load.force_y.piecewise.time': [0.5], 'load.force_y.piecewise.value': [1.0]},
-    {'motor.shaft': 'driven', 'motor.drive.time': [0.0, 1.0], 'motor.drive.angle': [0.0, 1.0],
-     'motor.drive.speed': [0.0, 0.0], 'motor.drive.acceleration': [0.0, 0.0]}],
-    ids=lambda values: next(iter(values)))
-def test_scenes_that_move_now_or_later_are_computed(moving):
-    motion = timo_sim.simulate(timo_sim.load_scene(moving), 1.0).values
-    assert not np.array_equal(motion[0], motion[-1])
 
 
 def test_memory_of_commands_that_a_caller_frees_is_not_read():

@@ -304,7 +304,3 @@ class EstimatingSimulator(Simulator):
                 samples.motions[1:].copy() if samples.every else self.motion.values[np.newaxis]))
             if len(self._behind) >= _MAX_PENDING_CALLS:
                 self.measure_error()
-
-    def _rest(self, count, samples):
-        super()._rest(count, samples)
-        self.finer.advance(self._parts * count)  # which rests, too

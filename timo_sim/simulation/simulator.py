@@ -203,10 +203,6 @@ class Simulator(Stateful, PointsOfArm):
             motion = self.scene.initial_motion(self.model)
             self._state = self.model.state(motion)
             self.integration.reset(motion)
-            # Without speeds, deflection, loads, drive, gravity and spring nothing changes until a
-            # command.
-            self._resting = not (self.scene.load or motion[3:].any() or self.model.gravity.any()
-                                 or self.model.manipulator.spring)
             self._origin = self.steps
             self._table = LoadTable(self.scene, Actuators(self.scene.values))
             self._load = self.scene.load_at_start()
@@ -226,7 +222,6 @@ class Simulator(Stateful, PointsOfArm):
             actuators = self._table.actuators.changed(scene.values, first)
             changed = tip_of(scene) != tip_of(self.scene)
             self._continue_with(scene, tip_of(scene) if changed else self.tip_load.tip)
-            self._resting = self._resting and not scene.load
             self._table = LoadTable(scene, actuators)
             self.warning = warnings.unseen_load(scene)
 
@@ -359,7 +354,7 @@ class Simulator(Stateful, PointsOfArm):
         """
         values = numbers('motion', motion, (self.model.size,))
         with self._lock:
-            self._state, self._resting = self.model.state(values), False
+            self._state = self.model.state(values)
 
     def advance(self, count: int, commanded: np.ndarray | None = None, sample_every: int = 0,
                 room: Samples | None = None) -> tuple[np.ndarray, np.ndarray]:
@@ -397,9 +392,6 @@ class Simulator(Stateful, PointsOfArm):
             return samples.motions, samples.heat
 
     def _advance(self, count, commanded, samples):
-        self._resting = self._resting and (commanded is None or not commanded.any())
-        if self._resting and count:  # not even the last bit of the state would change
-            return self._rest(count, samples)
         before = (self._state.copy(), self._load.copy(), self.integration.memory.copy(),
                   self.tip_load, self.model, self.integration)
         first, done = self.steps - self._origin, 0
@@ -441,11 +433,6 @@ class Simulator(Stateful, PointsOfArm):
             self._continue_with(self.scene, self.scene.payloads[changes][1:])
             self.tip_load = self.tip_load._replace(changes=changes + 1)
         return before
-
-    def _rest(self, count, samples):
-        if samples.every:
-            samples.motions[:] = self.motion.values
-        self.steps += count
 
     def _give_up(self, before, count, commanded):  # return to the last good state and raise
         self._state, self._load, memory, tip_load, self.model, self.integration = before
