@@ -34,7 +34,6 @@ if TYPE_CHECKING:
 
 
 _MAX_DIFFERENCE = 1e-3  # relative, of integrals by all and by every second sample
-_MOST_REPEATED = 5_000_000  # steps of a run that is done again: some 0.5 GB with three modes
 _BLOCK = 1024     # samples whose loads are worked out at once
 _REPORTED = 1024  # steps from one report to the next
 
@@ -119,30 +118,20 @@ class Run(MotionFields, PointsOfArm):
         """
         Return the energy dissipated by friction and modal damping so far, shape (n,) [J].
 
-        Dry friction is not part of it, but friction that builds up over a speed is.
-        If samples are several steps apart, the run is simulated again to integrate between them.
-        A run with commands or resets cannot be, one of more than 5 million steps would take too
-        much memory: their samples alone are integrated, with a ModelWarning if they are too far
-        apart for a relative error of 1e-3.
+        Dry friction is not part of it, but friction that builds up over a speed is. It is
+        integrated from sample to sample, with a ModelWarning if they are too far apart for a
+        relative error of 1e-3.
         """
         power, steps = self.model.dissipation(self.values), np.rint(self.t / self.scene.step)
         if self.model.manipulator.motor_limit:  # at which the back-EMF takes less (T66)
             speed = self.rotor_velocity
             power += self.model.manipulator.excess(self.effort[:, 2], speed) * speed
-        every = int(steps[-1]) // max(len(steps) - 1, 1)
-        if every > 1 and power.any() and steps[-1] <= _MOST_REPEATED:
-            try:
-                dense = run_scene(self.scene, every * (len(steps) - 1))
-            except DivergenceError as error:
-                dense = error.run
-            if np.array_equal(dense.values[::every], self.values):
-                return dense.dissipated()[::every]
         taken, coarse = (np.append(0.0, np.cumsum(_integral(self.t[::k], power[::k])))
                          for k in (1, 2))
         if np.diff(steps).max(initial=1.0) > 1.0 and (
                 np.abs(taken[::2] - coarse).max() > _MAX_DIFFERENCE * taken.max()):
-            warn('the dissipated energy is not accurate, because samples are too far apart and '
-                 'the run is not simulated again: take more samples')
+            warn('the dissipated energy is not accurate, because samples are too far apart: take '
+                 'more samples')
         return taken
 
     def momentum(self) -> np.ndarray:
