@@ -116,8 +116,6 @@ def replay(file: str | Path, changes: Mapping[str, Any] | None = None,
         if log:
             log.close()
     _report(say, recording, segments, again, time.monotonic() - begun)
-    if recording.facts.get('log', '1') == '1':
-        _without_loads_at_start(segments, scene)
     count, differing, found = _compare(segments, scene, recording)
     repeats = same and recording.repeats
     logged = _count_logged(segments, scene, recording)
@@ -438,15 +436,6 @@ class Replay:
                             step + (1 if has_tip_force(commanded) else _BATCH))
             simulator.advance(following - step, load_of_commands(commanded, simulator))
             report(following - step)
-
-
-def _without_loads_at_start(segments, scene):
-    """Let a replay show what logs of the first version have: no loads before the first step."""
-    free = 6 + np.flatnonzero(~scene.build().constrained)  # columns of their efforts
-    for segment in segments:
-        if segment.done.get('joint_states') and segment.samples['joint_states'][0] == (
-                segment.first):
-            segment.replayed['joint_states'][0, free] = 0.0
 
 
 def _comparable(recording, scene, topic):
