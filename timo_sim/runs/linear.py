@@ -250,22 +250,26 @@ def linearize(scene: SceneLike, at: np.ndarray | None = None, contact: str = '')
     inputs = {name: per_load for name, per_load in inputs.items() if per_load.any()}
     b = _solve(to_state, np.reshape([*inputs.values()], (len(inputs), len(a))).T)
 
-    still = _outputs(formulation, at, load)
-    c = _jacobian(formulation, lambda motion: _outputs(formulation, motion, load), at, places)
+    names = tuple(_outputs(formulation, at, load))
+
+    def shown(motion, load):
+        return np.array([*_outputs(formulation, motion, load).values()])
+
+    still = shown(at, load)
+    c = _jacobian(formulation, lambda motion: shown(motion, load), at, places)
     # They are linear in a load. What acts on the arm also bends it beyond its modes.
-    residual, lacking = _residual(formulation, at)
+    residual, lacking = _residual(formulation, at, names)
     if found := [(share, effect, name) for name, unit in units.items() if name in inputs
-                 for effect, share in zip(_output_names(formulation), lacking @ unit)
+                 for effect, share in zip(names, lacking @ unit)
                  if share > _LEFT_OUT]:
         share, effect, name = max(found)
         warn(f'{effect} of the linear model lacks {100.0 * share:.0f} % of the static response '
              f'to {name}: name the load in model.static_modes, or take more model.modes')
-    d = np.stack([_outputs(formulation, at, load + units[name]) - still + residual @ units[name]
+    d = np.stack([shown(at, load + units[name]) - still + residual @ units[name]
                   for name in inputs], axis=-1)
     for unit, spring in _springs(formulation, scene.bristles, places):
         c[:, :len(spring)] -= np.outer(
-            _outputs(formulation, at, load + unit) - still + residual @ unit, spring)
-    names = _output_names(formulation)
+            shown(at, load + unit) - still + residual @ unit, spring)
     bend = c[names.index('tip_transverse_m')] / formulation.manipulator.arm.length
     return LinearModel(A=a, B=b, C=c, D=d, states=state_names(formulation), inputs=tuple(inputs),
                        outputs=names, equilibrium=equilibrium, places=places, bend=bend)
@@ -381,48 +385,41 @@ def _jacobian(model, function, at, columns):
     return differences(moved, difference_steps(model)[columns], 4)[1]
 
 
-def _of_motion(model):
-    # Sensors that the motion alone determines, but the encoder's shaft angle.
-    return {sensor.output: sensor.of_motion for sensor in SENSORS
-            if sensor.of_motion and sensor.output != 'shaft_rad'
-            and (model.gear or not sensor.of_gear)}
-
-
-def _output_names(model):
-    return ('carrier_x_m', 'carrier_y_m', 'shaft_rad', 'tip_x_m', 'tip_y_m',
-            'tip_axial_m', 'tip_transverse_m', 'tip_rotation_rad', 'tip_angle_rad', 'root_strain',
-            'carrier_x_velocity_m_per_s', 'carrier_y_velocity_m_per_s',
-            'shaft_velocity_rad_per_s', *_of_motion(model),
-            *['rotor_velocity_rad_per_s'] * bool(model.gear),
-            'gyro_rad_per_s', 'tip_acceleration_along_m_per_s2', 'tip_acceleration_m_per_s2')
-
-
 def _outputs(model, motion, load):
-    """Return the values of `_output_names` in a motion under a load."""
-    motions, loads, half = motion[np.newaxis], load[np.newaxis], len(motion) // 2
-    joints = Joints(model, motions, loads)
-    q, tip = motions[:, 3:half], model.tip_point
+    """Return the outputs of linear models by name with unit, in a motion under a load."""
+    motions, half = motion[np.newaxis], len(motion) // 2
+    joints, q, tip = Joints(model, motions, load[np.newaxis]), motions[:, 3:half], model.tip_point
     along, across = model.centre_line(q, tip)[0, 0] - [model.manipulator.hub_radius, 0.0]
-    return np.concatenate([
-        motion[:3], model.world(motions, tip)[0, 0], [along, across],
-        model.section_rotation(q, tip)[0], [np.arctan2(across, along)],
-        joints.root_strain, motion[half:half + 3],
-        *(read(model, motions) for read in _of_motion(model).values()),
-        [motion[half:] @ model.rotor] * bool(model.gear),
-        motion[half + 2] + model.section_rotation(motions[:, half + 3:], tip)[0],
-        joints.tip_acceleration[0]])
+    x, y = model.world(motions, tip)[0, 0]
+    # Sensors that the motion alone determines, but the encoder's shaft angle.
+    sensors = {sensor.output: sensor.of_motion(model, motions)[0] for sensor in SENSORS
+               if sensor.of_motion and sensor.output != 'shaft_rad'
+               and (model.gear or not sensor.of_gear)}
+    rotor = {'rotor_velocity_rad_per_s': motion[half:] @ model.rotor} if model.gear else {}
+    turning = model.section_rotation(motions[:, half + 3:], tip)[0, 0]
+    specific = joints.tip_acceleration[0]
+    return {
+        'carrier_x_m': motion[0], 'carrier_y_m': motion[1], 'shaft_rad': motion[2],
+        'tip_x_m': x, 'tip_y_m': y, 'tip_axial_m': along, 'tip_transverse_m': across,
+        'tip_rotation_rad': model.section_rotation(q, tip)[0, 0],
+        'tip_angle_rad': np.arctan2(across, along), 'root_strain': joints.root_strain[0],
+        'carrier_x_velocity_m_per_s': motion[half],
+        'carrier_y_velocity_m_per_s': motion[half + 1],
+        'shaft_velocity_rad_per_s': motion[half + 2], **sensors, **rotor,
+        'gyro_rad_per_s': motion[half + 2] + turning,
+        'tip_acceleration_along_m_per_s2': specific[0],
+        'tip_acceleration_m_per_s2': specific[1]}
 
 
-def _residual(model, at):
+def _residual(model, at, names):
     """
-    Return the static response, (outputs, LOADS), of what modes leave out of the tip.
+    Return the static response of outputs, (names, LOADS), of what modes leave out of the tip.
 
     It is that of the straight arm in axes of the tip and of the point that is pushed, see
     doc/theory.md, section 2. What of it is in rates, which have no direct feedthrough, is
     returned as a share of the whole response, of the same shape.
     """
     body, modes, tip, half = model.manipulator, model.modes, model.tip_point, len(at) // 2
-    names = _output_names(model)
     found, lacking = np.zeros((2, len(names), LOADS))
     if len(modes) == model.axial + bool(model.gear):  # an arm without modes is rigid on purpose
         return found, lacking
