@@ -88,8 +88,9 @@ def simulate_many(scene: SceneLike, variations: Iterable[Mapping[str, Any]], dur
     together, as lanes of a vector (see `Batch`), several times faster. Their numbers are those of
     `simulate` for that variation to about 1e-11; those of other runs, and of a shorter sweep, to
     the last bit, on the same kind of processor and with one BLAS thread. No bit of a row depends
-    on the other runs or on the number of workers. The error of the first of each 4096 runs is
-    measured by a finer run. The first run with a new number of modes compiles for a second or two.
+    on the other runs or on the number of workers. The first of each 4096 runs is done alone, and
+    its error is measured by a finer run. The first run with a new number of modes compiles for a
+    second or two.
 
     Parameters
     ----------
@@ -199,53 +200,49 @@ def run_job(job: Job) -> dict[str, np.ndarray]:
             PARAMETERS[name], [values.get(name, job.scene.values[name]) for values in flat])
     table.update((column.name, numbers[:, k]) for k, column in enumerate(SUMMARY))
     table['warning'], table['reason'] = np.full((2, len(flat)), '', dtype=object)
-    found = {}
+    groups: dict[Any, list[Any]] = {}  # of (row, Scene, steps), by kind of lane, or row
     with np.errstate(all='ignore'):
         for row, variation in enumerate(job.variations):
-            with _record_reasons(table['reason'], [row]):
+            with _record_reason(table, row):
                 scene, steps = resolve(job.scene.vary(variation), job.duration)
-                kind = lane_kind(scene, steps) if job.in_lanes else None
-                found.setdefault((kind, None if kind else row), []).append((row, scene))
-        for (kind, _), runs in found.items():
+                alone = not job.in_lanes or table['run'][row] % _MEASURED_EVERY == 0
+                key = row if alone else lane_kind(scene, steps) or row
+                groups.setdefault(key, []).append((row, scene, steps))
+        for key, runs in groups.items():
             try:
-                _fill_rows(table, numbers, kind, runs, job.duration)
+                _fill_rows(table, numbers, key, runs)
             except _FAILURES:  # One of them failed: each is done alone, for a reason of its own.
                 for run in runs:
-                    with _record_reasons(table['reason'], [run[0]]):
-                        _fill_rows(table, numbers, kind, [run], job.duration)
-        for (kind, _), runs in found.items():
-            for row, scene in runs:
-                if (job.first + row) % _MEASURED_EVERY == 0 and not table['reason'][row]:
-                    run = measure_error(run_scene(scene, steps_in(job.duration, scene.step)),
-                                        with_remedy=False)
-                    numbers[row, -1] = run.stats['estimated_tip_error_m']
-                    table['warning'][row] = run.warning or ''
+                    with _record_reason(table, run[0]):
+                        _fill_rows(table, numbers, key, [run])
         failed = table['reason'] != ''
         numbers[failed], table['warning'][failed] = np.nan, ''
     return table
 
 
-def _fill_rows(table, numbers, kind, runs, duration):
-    """Do runs, of (row, Scene), together if they are of a kind of lanes; fill in their rows."""
-    rows, scenes = (list(part) for part in zip(*runs))
-    if kind:
-        numbers[rows, :-1], batch = run_lanes(scenes, kind[0])
+def _fill_rows(table, numbers, key, runs):
+    """Do runs, of (row, Scene, steps), together if the key is a kind of lanes; fill their rows."""
+    rows, scenes, (steps, *_) = (list(part) for part in zip(*runs))
+    if key != rows[0]:
+        numbers[rows, :-1], batch = run_lanes(scenes, steps)
         for lane in np.flatnonzero(batch.failed):
             table['reason'][rows[lane]] = batch.reason(int(lane))
         table['warning'][rows] = [unseen_load(scene) or '' for scene in scenes]
     else:
-        run = run_scene(scenes[0], steps_in(duration, scenes[0].step))
+        run = run_scene(scenes[0], steps)
+        if table['run'][rows[0]] % _MEASURED_EVERY == 0:
+            run = measure_error(run, with_remedy=False)
         table['warning'][rows] = run.warning or ''
         numbers[rows] = _summary(run)
 
 
 @contextmanager
-def _record_reasons(reasons, rows):
-    """Keep the text of an error as the reason why the runs of some rows failed."""
+def _record_reason(table, row):
+    """Keep the text of an error as the reason why the run of a row failed."""
     try:
         yield
     except _FAILURES as error:
-        reasons[rows] = ' '.join(str(error).split()) or type(error).__name__
+        table['reason'][row] = ' '.join(str(error).split()) or type(error).__name__
 
 
 def _column_of(parameter, values):
