@@ -43,7 +43,7 @@ from timo_sim.scene.files import flatten, read_yaml, whole_file
 from timo_sim.scene.parameters import (
     check, checked, Parameter, ParameterError, PARAMETERS, SCENE, short, steps_in, TEXT, warn)
 from timo_sim.scene.scene import load_scene, Scene, SceneLike
-from timo_sim.simulation.batch import Batch, lane_size, refusal
+from timo_sim.simulation.batch import Batch, lane_size
 from timo_sim.simulation.warnings import unseen_load
 from timo_sim.steps.steps import CHUNK
 from timo_sim.version import __version__
@@ -233,7 +233,9 @@ def _fill_rows(table, numbers, key, runs):
         if table['run'][rows[0]] % _MEASURED_EVERY == 0:
             run = measure_error(run, with_remedy=False)
         table['warning'][rows] = run.warning or ''
-        numbers[rows] = _summary(run)
+        tips = run.model.tips(run.values)[np.newaxis]
+        numbers[rows] = (*_summary([tips], run.scene.step)[0], *run.values[-1, :3],
+                         run.stats['estimated_tip_error_m'])
 
 
 @contextmanager
@@ -259,21 +261,9 @@ def _column_of(parameter, values):
     return column
 
 
-def _summary(run):
-    """Return the numbers of `SUMMARY` for a run."""
-    tip = run.model.tip_point
-    deflection = run.model.centre_line(run.q, tip)[:, 0, 1]
-    rotation = run.model.section_rotation(run.q, tip)[:, 0]
-    size = np.abs(deflection)
-    peak = np.argmax(size)
-    return (size[peak], run.t[peak], np.sqrt(np.mean(deflection**2)), deflection[-1],
-            np.abs(rotation).max(), *run.carrier[-1], run.shaft[-1],
-            run.stats['estimated_tip_error_m'])
-
-
 def lane_kind(scene: Scene, steps: int) -> tuple[Any, ...] | None:
     """Return the key by which runs are grouped into lanes; None if a run must be done alone."""
-    if (scene.values['model.formulation'] != 'exact' or not scene.modal_count or refusal(scene)
+    if (scene.values['model.formulation'] != 'exact' or not scene.modal_count
             or scene.build().sectors):  # which make lanes slower than single runs
         return None
     return steps, *lane_size(scene).values()
@@ -281,23 +271,30 @@ def lane_kind(scene: Scene, steps: int) -> tuple[Any, ...] | None:
 
 def run_lanes(scenes: list[Scene], steps: int) -> tuple[np.ndarray, Batch]:
     """Do runs of one kind together; return `SUMMARY` but for its end, (n, 8), and their Batch."""
-    batch, step = Batch(scenes), scenes[0].step
-    peak, peak_time, rotation, squares = np.zeros((4, batch.n))
-    first, tips = 0, np.column_stack([batch.deflection(), batch.rotation()])[:, np.newaxis]
-    while True:
+    batch = Batch(scenes)
+
+    def tips():
+        yield np.column_stack([batch.deflection(), batch.rotation()])[:, np.newaxis]
+        while batch.steps < steps:
+            yield batch.advance_tips(min(CHUNK, steps - batch.steps))
+
+    return np.hstack([_summary(tips(), scenes[0].step), batch.motion.values[:, :3]]), batch
+
+
+def _summary(blocks, step):
+    """Return the first numbers of `SUMMARY`, (n, 5), of blocks of tips at steps, (n, k, 3)."""
+    peak = peak_time = rotation = squares = count = 0
+    for tips in blocks:
         # The order in memory is always the same, because the last bits of sums depend on it.
-        size = np.abs(np.ascontiguousarray(tips)[:, :, 1])
-        at = np.argmax(size, axis=1)
-        found = size[np.arange(batch.n), at]
-        peak_time = np.where(found > peak, step * (first + at), peak_time)
+        across = np.ascontiguousarray(tips)[:, :, 1]
+        size = np.abs(across)
+        at, found = np.argmax(size, axis=1), size.max(axis=1)
+        peak_time = np.where(found > peak, step * (count + at), peak_time)
         peak = np.maximum(peak, found)
         rotation = np.maximum(rotation, np.abs(tips[:, :, 2]).max(axis=1))
         squares += np.sum(size**2, axis=1)
-        if batch.steps == steps:
-            break
-        first, tips = batch.steps + 1, batch.advance_tips(min(CHUNK, steps - batch.steps))
-    return np.column_stack([peak, peak_time, np.sqrt(squares / (steps + 1)),
-                            batch.deflection()[:, 1], rotation, batch.motion.values[:, :3]]), batch
+        count += size.shape[1]
+    return np.column_stack([peak, peak_time, np.sqrt(squares / count), across[:, -1], rotation])
 
 
 _WORKERS = Parameter('workers', 1, '', 'processes', low=1, high=10000)

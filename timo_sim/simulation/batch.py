@@ -447,10 +447,16 @@ def _check(scenes, device):
     for number, scene in enumerate(scenes):
         if scene is scenes[0] and number:
             continue
-        refused = refusal(scene, device)
+        on_gpu, values, refused = device != 'cpu', scene.values, ''
+        if values['model.accuracy']:
+            refused = f'model.accuracy = {values["model.accuracy"]}'
+        elif on_gpu and scene.payloads:
+            refused = f'payload.time = {values["payload.time"]}'
+        elif on_gpu and scene.build().sectors:
+            refused = f'carrier.held = {values["carrier.held"]}, for a shaft that turns,'
         if refused:
             raise ParameterError(f'{refused} is not possible in a Batch'
-                                 + f" with device = '{device}'" * (device != 'cpu'))
+                                 + f" with device = '{device}'" * on_gpu)
         for name, value in lane_size(scene).items():
             if value != wanted[name]:
                 raise ParameterError(f'{name} must be the same in all scenes of a Batch, got '
@@ -469,15 +475,3 @@ def lane_size(scene: Scene) -> dict[str, Any]:
         'end_effector.offset or payload.offset not 0': scene.manipulator.off_tip,
         'motor.dc.current_limit < .inf': bool(scene.manipulator.motor_limit),
         'the number of nodes': len(scene.build().quadrature.nodes)}
-
-
-def refusal(scene: Scene, device: str = 'cpu') -> str:
-    """Return the first parameter that lanes of a device do not know, as text, or ''."""
-    values = scene.values
-    if values['model.accuracy']:
-        return f'model.accuracy = {values["model.accuracy"]}'
-    if device != 'cpu' and scene.payloads:
-        return f'payload.time = {values["payload.time"]}'
-    if device != 'cpu' and scene.build().sectors:
-        return f'carrier.held = {values["carrier.held"]}, for a shaft that turns,'
-    return ''
