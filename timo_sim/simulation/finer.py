@@ -16,7 +16,6 @@ frequency Omega its stretch is wrong by 2 Omega / omega of itself, a few per cen
 
 from collections.abc import Callable
 from dataclasses import replace
-from functools import partial
 from itertools import groupby
 import math
 from types import MappingProxyType
@@ -80,51 +79,34 @@ def refine(scene: Scene, parts: int, modes: int | None = None, axial: int | None
             scene.manipulator, bending + modes) if load not in static)
     if not scene.manipulator.arm.stretches:
         axial = 0
-    own, shapes = len(scene.static), len(static)
-    lists: dict[str, Any] = {}
-    initial = {name: scene.modal(name) for name in _LISTS if values[name]}
-    for name, given in initial.items():
-        across, along = given[:bending], given[bending + own:]
-        lists[name] = [*across, *(modes + shapes) * [0.0], *along, *axial * [0.0]]
     # Further modes have the damping of the last one, in terms of those of the clamped arm.
-    damping = scene.build().damping.tolist()
-    bent, stretched = damping[:bending] or [0.0], damping[len(damping) - stretching:]
+    damping = tuple(scene.build().damping.tolist())
+    bent, stretched = damping[:bending] or (0.0,), damping[len(damping) - stretching:]
     further = (stretched or bent)[-1:]
     resolved = not (axial or stretching) or _axial_phase(scene, scene.step / parts) <= AXIAL_PHASE
     if axial and not stretching and not resolved:
-        further = [1.0]
-    keeps_axial = resolved or not stretching  # their vibration is seen, or critically damped
-    lists['arm.damping_ratio'] = [*bent[:bending], *modes * bent[-1:], *stretched,
-                                  *axial * further]
-    lists['arm.damping_of'] = 'clamped'
+        further = (1.0,)
+    finer = {**values, 'arm.damping_of': 'clamped', 'arm.damping_ratio': (
+                 *bent[:bending], *modes * bent[-1:], *stretched, *axial * further),
+             'model.accuracy': 0.0, 'model.modes': bending + modes,
+             'model.axial_modes': stretching + axial, 'integrator.step': scene.step / parts}
     # What counts as a boundary between two steps is one between two finer steps, too.
-    lists.update((name, tuple(on_boundaries(values[name], scene.step).tolist()))
+    finer.update((name, tuple(on_boundaries(values[name], scene.step).tolist()))
                  for name in _TIMES if values[name])
     if not same_equations:
-        lists['model.formulation'] = 'exact'
-    # Bodies and constraints are the same, and checked.
-    found = replace(scene, step=scene.step / parts, values=MappingProxyType({
-                        **values, **_as_tuples(lists), 'model.accuracy': 0.0,
-                        'model.modes': bending + modes, 'model.axial_modes': stretching + axial,
-                        'integrator.step': scene.step / parts}),
-                    static=static, keeps_axial=keeps_axial)
-    if any(any(given[bending:bending + own]) for given in initial.values()):
-        # A static shape of the scene is a sum of modes and static shapes of the finer one.
-        of, size = scene.build().modes, bending + modes + shapes
-        for name, given in initial.items():
-            fields = [partial(_field, each, np.array(given))
-                      for each in (of.deflection, of.rotation)]
-            lists[name][:size] = found.build().project_on_modes(*fields)[:size].tolist()
-        found = replace(found, values=MappingProxyType({**found.values, **_as_tuples(lists)}))
+        finer['model.formulation'] = 'exact'
+    # Bodies and constraints are the same, and checked. The vibration of axial modes is seen, or
+    # critically damped.
+    found = replace(scene, step=scene.step / parts, values=MappingProxyType(finer), static=static,
+                    keeps_axial=resolved or not stretching)
+    size, shapes = bending + modes + len(static), scene.build().modes
+    for name in _LISTS:
+        if q := scene.modal(name):  # a static shape is a sum of finer modes and shapes
+            across = found.build().project_on_modes(lambda xi: shapes.deflection(xi) @ q,
+                                                    lambda xi: shapes.rotation(xi) @ q)
+            finer[name] = (*across[:size].tolist(), *q[bending + len(scene.static):],
+                           *axial * (0.0,))
     return found
-
-
-def _as_tuples(lists):
-    return {name: tuple(each) if isinstance(each, list) else each for name, each in lists.items()}
-
-
-def _field(shapes, q, xi):
-    return shapes(xi) @ q
 
 
 def choose_parts(scene: Scene) -> tuple[int, ...]:
