@@ -283,28 +283,6 @@ def test_a_row_is_the_motion_and_the_effort_before_it(values, tmp_path):
     assert f'{count} of {count} logged numbers compared: all are the same to the last bit' in text
 
 
-def test_a_log_of_the_first_version_has_no_loads_in_its_first_row(tmp_path):
-    scene = timo_sim.load_scene('arm', {**JUMP, **FREE, 'model.modes': 0})
-    simulator, joints = timo_sim.Simulator(scene), scene.outputs[0]
-    for version, code in (('1', 0), ('2', 1)):
-        log = NewLog(tmp_path / f'{version}.mcap', scene, {**DEFAULTS, **scene.values},
-                     log=version)
-        for reset in range(2):
-            look = simulator.snapshot()
-            log.output(joints.name, look, [*joints.numbers(look)[:6], 0.0, 0.0, 0.0])
-            simulator.advance(1)
-            look = simulator.snapshot()
-            log.output(joints.name, look, joints.numbers(look))
-            if not reset:
-                simulator.reset()
-                log.note(RESET, {'step': str(simulator.steps)})
-        simulator = timo_sim.Simulator(scene)
-        log.close()
-        text = call('replay', log.path, code=code)
-        assert ('2 differ' in text) == code
-        assert timo_sim.open_log(log.path).effort[:, 2].tolist() == [0.0, 1.0, 0.0, 1.0]
-
-
 @pytest.mark.parametrize('presliding', [0.0, 0.003])
 def test_what_was_set_is_set_again_also_beside_a_reset(presliding, tmp_path):
     """The simulator is driven as by the node; the log notes what was set."""

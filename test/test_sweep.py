@@ -33,8 +33,7 @@ def scene(paper):
 
 def expected(run):
     """Return the numbers of a row, computed from a run."""
-    length = run.scene.values['arm.length']
-    deflection, rotation = run.deflection(length)[:, 1], run.rotation(length)
+    deflection, rotation = run.deflection()[:, 1], run.rotation()
     peak = np.argmax(np.abs(deflection))
     return [abs(deflection[peak]), run.t[peak], np.sqrt(np.mean(deflection**2)), deflection[-1],
             np.abs(rotation).max(), *run.carrier[-1], run.shaft[-1]]

@@ -119,7 +119,7 @@ def test_over_a_small_speed_it_is_dry_friction():
 def test_energy_is_the_heat_of_friction():
     scene = timo_sim.load_scene({}, {**BOTH, 'initial.shaft_velocity': 2.0,
                                      'initial.carrier_x_velocity': 0.5, 'model.modes': 3})
-    run = timo_sim.simulate(scene, 4.0, 4, estimate=False)
+    run = timo_sim.simulate(scene, 4.0, estimate=False)
     heat = run.dissipated()
     total = run.energy() + heat
     assert total == pytest.approx(np.full(len(run.t), total[0]), rel=1e-9)

@@ -88,9 +88,8 @@ def simulate_many(scene: SceneLike, variations: Iterable[Mapping[str, Any]], dur
     together, as lanes of a vector (see `Batch`), several times faster. Their numbers are those of
     `simulate` for that variation to about 1e-11; those of other runs, and of a shorter sweep, to
     the last bit, on the same kind of processor and with one BLAS thread. No bit of a row depends
-    on the other runs or on the number of workers. The first of each 4096 runs is done alone, and
-    its error is measured by a finer run. The first run with a new number of modes compiles for a
-    second or two.
+    on the other runs or on the number of workers. The error of the first of each 4096 runs is
+    measured by a finer run. The first run with a new number of modes compiles for a second or two.
 
     Parameters
     ----------
@@ -200,13 +199,12 @@ def run_job(job: Job) -> dict[str, np.ndarray]:
             PARAMETERS[name], [values.get(name, job.scene.values[name]) for values in flat])
     table.update((column.name, numbers[:, k]) for k, column in enumerate(SUMMARY))
     table['warning'], table['reason'] = np.full((2, len(flat)), '', dtype=object)
-    groups: dict[Any, list[Any]] = {}  # of (row, Scene, steps), by kind of lane, or row
+    groups: dict[Any, list[Any]] = {}  # of (row, Scene, steps), by kind of lane, or alone
     with np.errstate(all='ignore'):
         for row, variation in enumerate(job.variations):
             with _record_reason(table, row):
                 scene, steps = resolve(job.scene.vary(variation), job.duration)
-                alone = not job.in_lanes or table['run'][row] % _MEASURED_EVERY == 0
-                key = row if alone else lane_kind(scene, steps) or row
+                key = job.in_lanes and lane_kind(scene, steps) or ('alone', row)
                 groups.setdefault(key, []).append((row, scene, steps))
         for key, runs in groups.items():
             try:
@@ -223,19 +221,21 @@ def run_job(job: Job) -> dict[str, np.ndarray]:
 def _fill_rows(table, numbers, key, runs):
     """Do runs, of (row, Scene, steps), together if the key is a kind of lanes; fill their rows."""
     rows, scenes, (steps, *_) = (list(part) for part in zip(*runs))
-    if key != rows[0]:
+    if key != ('alone', rows[0]):
         numbers[rows, :-1], batch = run_lanes(scenes, steps)
         for lane in np.flatnonzero(batch.failed):
             table['reason'][rows[lane]] = batch.reason(int(lane))
         table['warning'][rows] = [unseen_load(scene) or '' for scene in scenes]
     else:
         run = run_scene(scenes[0], steps)
-        if table['run'][rows[0]] % _MEASURED_EVERY == 0:
-            run = measure_error(run, with_remedy=False)
         table['warning'][rows] = run.warning or ''
         tips = run.model.tips(run.values)[np.newaxis]
-        numbers[rows] = (*_summary([tips], run.scene.step)[0], *run.values[-1, :3],
-                         run.stats['estimated_tip_error_m'])
+        numbers[rows, :-1] = *_summary([tips], run.scene.step)[0], *run.values[-1, :3]
+    for row, scene, _ in runs:
+        if table['run'][row] % _MEASURED_EVERY == 0 and not table['reason'][row]:
+            run = measure_error(run_scene(scene, steps), with_remedy=False)
+            numbers[row, -1] = run.stats['estimated_tip_error_m']
+            table['warning'][row] = run.warning or ''
 
 
 @contextmanager
