@@ -22,7 +22,7 @@ from timo_sim.log.notes import CHANGE, change_note, RESET
 from timo_sim.log.read import LogError
 from timo_sim.log.tables import Recording
 from timo_sim.log.write import Channel, Recorder
-from timo_sim.scene.parameters import DEFAULTS, PARAMETERS
+from timo_sim.scene.parameters import PARAMETERS
 from timo_sim.topics.outputs import outputs
 
 STORE = get_typestore(Stores.ROS2_JAZZY)
