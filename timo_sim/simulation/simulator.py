@@ -177,22 +177,19 @@ class Simulator(Stateful, PointsOfArm):
     @property
     def sensors(self) -> Sensors:
         """What the sensors read now: encoder, root_strain, tip_acceleration, gyro."""
-        return Sensors(self.snapshot(self._state.copy()))
+        return Sensors(self.snapshot())
 
     @property
     def effort(self) -> np.ndarray:
         """Efforts of carrier x, y [N] and shaft [N m], shape (3,), see `Snapshot.effort`."""
         return np.array(self.snapshot().effort)
 
-    def snapshot(self, state: np.ndarray | None = None) -> Snapshot:
-        """Return a Snapshot of now: valid until the next step, or longer with a kept state."""
-        if state is not None and np.shape(state) != self._state.shape:
-            raise ParameterError(f'state must be an array of shape {self._state.shape}, got one '
-                                 f'of {np.shape(state)}')
-        acts = self._state if state is None else state, self.integration.acting(self.load)
+    def snapshot(self) -> Snapshot:
+        """Return a Snapshot of now."""
         return Snapshot(scene=self.scene, model=self.model, step=self.steps,
                         nanoseconds=self.nanoseconds, motion=self.motion.values,
-                        load=self._load.tolist(), acts=acts)
+                        load=self._load.tolist(),
+                        acts=(self._state.copy(), self.integration.acting(self.load)))
 
     def reset(self) -> None:
         """Return to the initial motion and the start of the loads; the count of steps goes on."""
