@@ -69,7 +69,6 @@ def calls(folder):
 
     yield timo_sim.Simulator, {'scene': scene}, {'scene': '{}'}
     yield timo_sim.EstimatingSimulator, {'scene': scene}, {'scene': '{}'}
-    yield simulator.snapshot, {'state': None}, {'state': none}
     yield simulator.change, {'scene': scene}, {}
     yield simulator.warm_up, {'tell': None, 'messages': False}, {'tell': none}
     yield simulator.step, {'torque': 1.0, 'force': [0.0, 1.0], 'duration': 0.001}, {

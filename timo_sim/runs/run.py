@@ -318,7 +318,7 @@ def run_scene(scene: Scene, steps: int, sample_every: int = 1,
         count = min(max(1, _REPORTED // sample_every) * sample_every, steps - first)
         part = slice(first // sample_every, (first + count) // sample_every + 1)
         try:
-            simulator.advance(count, room=Samples(sample_every, motion[part], heat[part]))
+            simulator._advance(count, None, Samples(sample_every, motion[part], heat[part]))
         except DivergenceError as error:
             error.run = run_until(simulator.steps // sample_every * sample_every)
             raise

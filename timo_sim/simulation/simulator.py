@@ -353,14 +353,13 @@ class Simulator(Stateful, PointsOfArm):
         with self._lock:
             self._state = self.model.state(values)
 
-    def advance(self, count: int, commanded: np.ndarray | None = None, sample_every: int = 0,
-                room: Samples | None = None) -> tuple[np.ndarray, np.ndarray]:
+    def advance(self, count: int, commanded: np.ndarray | None = None,
+                sample_every: int = 0) -> tuple[np.ndarray, np.ndarray]:
         """
         Advance by `count` steps.
 
         `commanded`, shape (LOADS,), are commands during all of them, see `model.layout`, which act
-        besides the scene's loads. Samples are taken each `sample_every` steps, with 0 none, or
-        into the arrays of `room`, which has those up to the last good step after an error.
+        besides the scene's loads. Samples are taken each `sample_every` steps, with 0 none.
 
         Returns
         -------
@@ -384,11 +383,12 @@ class Simulator(Stateful, PointsOfArm):
         if commanded is not None:
             commanded = whole_load(commanded, (LOADS,))
         with self._lock:
-            samples = room or self.integration.samples(count, sample_every)
+            samples = self.integration.samples(count, sample_every)
             self._advance(count, commanded, samples)
             return samples.motions, samples.heat
 
     def _advance(self, count, commanded, samples):
+        # After a DivergenceError the samples have what they should until the last good step.
         before = (self._state.copy(), self._load.copy(), self.integration.memory.copy(),
                   self.tip_load, self.model, self.integration)
         first, done = self.steps - self._origin, 0
