@@ -1,15 +1,13 @@
 # Copyright 2026 The timo_sim authors
 # SPDX-License-Identifier: Apache-2.0
 
-"""Runs: shapes, kinematics, energy, samples, refusals, the progress bar."""
+"""Runs: shapes, kinematics, energy, samples, refusals."""
 
 import os
-import pty
 import re
 import signal
 import subprocess
 import sys
-import termios
 
 from click.testing import CliRunner
 import numpy as np
@@ -195,41 +193,6 @@ def test_the_command_shows_a_warning_as_one_line():
                           text=True)
     told, = [line for line in done.stderr.splitlines() if 'compiling' not in line]
     assert told.startswith('timo_sim: is this meant? initial.shaft = 45 rad is more than a turn')
-
-
-# The clock goes on by 0.1 s each time it is read: the bar appears after ten readings.
-SHORT_AND_LONG = """
-import io, itertools, sys
-import timo_sim, tqdm
-tqdm.std.time = map((0.1).__mul__, itertools.count()).__next__
-scene = timo_sim.load_scene({
-    'integrator.step': 1e-5, 'model.modes': 0, 'initial.shaft_velocity': 1.0})
-for seconds, piped in (0.01, False), (2.0, False), (2.0, True):
-    print('begins', flush=True)
-    sys.stderr = io.StringIO() if piped else sys.stderr
-    timo_sim.simulate(scene, seconds, sample_every=1000)
-assert not sys.stderr.getvalue()
-"""
-
-
-def test_progress_bar_on_a_terminal_for_long_runs_only():
-    _, short, long, piped = _on_terminal(SHORT_AND_LONG).split(b'begins')
-    assert [b'step/s' in each for each in (short, long, piped)] == [False, True, False]
-
-
-def _on_terminal(code):
-    ours, theirs = pty.openpty()
-    termios.tcsetwinsize(ours, (24, 80))
-    child = subprocess.Popen([sys.executable, '-c', code], stderr=theirs, stdout=theirs)
-    os.close(theirs)
-    output = b''
-    try:
-        while chunk := os.read(ours, 65536):
-            output += chunk
-    except OSError:  # the end of a terminal whose other side is closed
-        pass
-    assert child.wait() == 0
-    return output
 
 
 def test_the_command_takes_samples_of_a_long_run_at_even_distances(tmp_path):

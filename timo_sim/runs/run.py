@@ -35,7 +35,7 @@ if TYPE_CHECKING:
 
 _MAX_DIFFERENCE = 1e-3  # relative, of integrals by all and by every second sample
 _BLOCK = 1024     # samples whose loads are worked out at once
-_REPORTED = 1024  # steps from one report to the next
+_CHECKED = 1024  # steps from one check for warnings to the next
 
 
 @dataclass(frozen=True, repr=False)
@@ -295,9 +295,8 @@ class Run(MotionFields, PointsOfArm):
 
 
 def run_scene(scene: Scene, steps: int, sample_every: int = 1,
-              report: Callable[[int], object] = lambda count: None,
               tell: Callable[[str], object] | None = None) -> Run:
-    """Return the Run of a resolved scene, quietly; `report(count)` follows each `count` steps."""
+    """Return the Run of a resolved scene, quietly; `tell` is told of compilations."""
     simulator = Simulator(scene)
     simulator.warm_up(tell)
     motion = np.empty((steps // sample_every + 1, simulator.model.size))
@@ -313,18 +312,16 @@ def run_scene(scene: Scene, steps: int, sample_every: int = 1,
                    friction_heat=heat[samples], warning=simulator.warning, stats=stats,
                    payloads=scene.payloads)
 
-    while True:
-        first = simulator.steps
-        count = min(max(1, _REPORTED // sample_every) * sample_every, steps - first)
-        part = slice(first // sample_every, (first + count) // sample_every + 1)
-        try:
+    block = max(1, _CHECKED // sample_every) * sample_every
+    try:
+        for first in range(0, max(1, steps), block):
+            count = min(block, steps - first)
+            part = slice(first // sample_every, (first + count) // sample_every + 1)
             simulator._advance(count, None, Samples(sample_every, motion[part], heat[part]))
-        except DivergenceError as error:
-            error.run = run_until(simulator.steps // sample_every * sample_every)
-            raise
-        report(count)
-        if simulator.steps == steps:
-            return run_until(steps)
+    except DivergenceError as error:
+        error.run = run_until(simulator.steps // sample_every * sample_every)
+        raise
+    return run_until(steps)
 
 
 def _integral(t, power):

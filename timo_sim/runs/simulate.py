@@ -6,7 +6,6 @@
 from __future__ import annotations
 
 from collections.abc import Callable
-from contextlib import contextmanager
 from dataclasses import replace
 import math
 import sys
@@ -226,8 +225,6 @@ def simulate(scene: SceneLike, duration: float, sample_every: int = 1,
     """
     Simulate a scene under its own loads.
 
-    On a terminal, a progress bar appears when the run takes more than a second.
-
     Parameters
     ----------
     scene : Scene, or what `load_scene` takes
@@ -274,29 +271,18 @@ def simulate(scene: SceneLike, duration: float, sample_every: int = 1,
         least = -(-_LEAST_COMPARED * sample_every // max(1, steps))
         parts = next(k for k in range(min(least, sample_every), sample_every + 1)
                      if sample_every % k == 0)
-    with _progress(steps) as report:
-        try:
-            run = run_scene(scene, steps, sample_every // parts, report, _say)
-        except DivergenceError as error:
-            error.run = _thin(error.run, parts)
-            raise
-        except MemoryError:
-            raise MemoryError(f'{1 + steps // sample_every} samples do not fit into memory: take '
-                              f'sample_every > {sample_every}') from None
-        run = _thin(measure_error(run) if estimate else run, parts)
+    try:
+        run = run_scene(scene, steps, sample_every // parts, _say)
+    except DivergenceError as error:
+        error.run = _thin(error.run, parts)
+        raise
+    except MemoryError:
+        raise MemoryError(f'{1 + steps // sample_every} samples do not fit into memory: take '
+                          f'sample_every > {sample_every}') from None
+    run = _thin(measure_error(run) if estimate else run, parts)
     if run.warning:
         warn(run.warning)
     return run
-
-
-@contextmanager
-def _progress(steps):
-    if not (sys.stderr and sys.stderr.isatty()):
-        yield lambda count: None
-        return
-    from tqdm import tqdm  # which takes longer to import than a short run
-    with tqdm(total=steps, unit='step', unit_scale=True, delay=1.0, leave=False) as bar:
-        yield bar.update
 
 
 def _say(text):
