@@ -17,7 +17,11 @@ import pytest
 
 from oracles.domains import own_domain
 from oracles.references import read
+from timo_sim.compiled.entry import EntryPoint
 from timo_sim.compiled.store import lock
+from timo_sim.model import functions
+from timo_sim.scene import scene
+from timo_sim.steps import derivatives, etdrk4, lanes
 
 ROOT = Path(__file__).resolve().parents[1]
 PAPER = ROOT / 'config' / 'paper.yaml'
@@ -38,6 +42,32 @@ def pytest_collection():
         if any(ROOT.glob(last)):  # another was here
             stack.close()
         yield
+
+
+# Files and folders of tests of code for a size, or of bits that another process has, too.
+OF_ONE_SIZE = {
+    'log', 'ros', 'tools', 'test_code_store.py', 'test_compiled.py', 'test_composition.py',
+    'test_export.py', 'test_export_fmu.py', 'test_export_web.py', 'test_gpu.py',
+    'test_hardware.py', 'test_replay.py', 'test_sweep.py', 'test_sweep_command.py',
+    'test_threads.py'}
+LIKE_A_RUN = {module.__name__ for module in (functions, etdrk4, lanes, derivatives)}
+
+
+@pytest.fixture(autouse=True, scope='module')
+def any_size(request):
+    """
+    Let runs of most tests use code for any size, which takes twice as long and is compiled once.
+
+    For a size LLVM takes longer than 50 000 steps. The two differ in round-off (test_compiled.py).
+    """
+    of = EntryPoint.of
+    with pytest.MonkeyPatch.context() as patch:
+        if not OF_ONE_SIZE & {*request.path.relative_to(ROOT).parts}:
+            patch.setattr(EntryPoint, 'of', lambda entry, *constants, any_size=False: of(
+                entry, *constants, any_size=any_size or (
+                    bool(constants) and entry.__module__ in LIKE_A_RUN)))
+        yield
+    scene._shared_model.cache_clear()  # which have code of this kind
 
 
 @pytest.fixture(scope='session')

@@ -244,6 +244,24 @@ def test_code_for_any_size_does_the_same_in_threads_that_take_turns():
             np.testing.assert_allclose(rate, expected[k % 2], rtol=1e-12)
 
 
+@pytest.mark.parametrize('values', [
+    {}, {'model.modes': 5, 'model.axial_modes': 1}, {'model.formulation': 'newton'},
+    {'motor.gear.stiffness': 900.0, 'motor.rotor.inertia': 0.05, 'motor.coulomb_friction': 1.0,
+     'carrier.held': 'both'}], ids=str)
+def test_steps_of_code_for_any_size_are_those_of_code_for_a_size(values):
+    """But for round-off; so most tests, which are of short runs, take code for any size."""
+    ends = []
+    for any_size in (False, True):
+        simulator = timo_sim.Simulator(timo_sim.load_scene({}, {
+            **values, 'initial.shaft_velocity': 3.0}))
+        steps = simulator.integration
+        steps._advance[None] = etdrk4.advance.of(
+            *steps.part(None), steps.bristles, any_size=any_size)
+        simulator.advance(200)
+        ends.append(simulator.motion.values)
+    np.testing.assert_allclose(*ends, rtol=1e-10, atol=1e-12)
+
+
 RUN = """
 import sys, numba, timo_sim
 from timo_sim.compiled import machine, store
