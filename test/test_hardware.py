@@ -9,12 +9,11 @@ import shutil
 import subprocess
 import xml.etree.ElementTree as ElementTree
 
-from click.testing import CliRunner
+from command_line import call
 import numpy as np
 import pytest
 
 import timo_sim
-from timo_sim.cli import main
 from timo_sim.log.read import recover
 from timo_sim.log.tables import Recording
 from timo_sim.model.layout import FORCE_X, FORCE_Y, LOADS, TORQUE, VOLTAGE
@@ -54,9 +53,8 @@ def export(folder, changes):
     """Return the shared object of the paper's scene, changed, and the URDF that names it."""
     library = folder / 'arm.so'
     settings = [text for name, value in changes.items() for text in ('--set', f'{name}={value}')]
-    result = CliRunner().invoke(main, ['urdf', 'paper', *settings, '--ros2-control', str(library)])
-    assert result.exit_code == 0, (result.output, result.exception)
-    return library, ElementTree.fromstring(result.output)
+    return library, ElementTree.fromstring(
+        call('urdf', 'paper', *settings, '--ros2-control', library))
 
 
 def run(program, lines, *arguments, code=0):

@@ -7,14 +7,13 @@ from dataclasses import replace
 import re
 import warnings
 
-from click.testing import CliRunner
+from command_line import call
 import numpy as np
 from oracles.linear_beam import LinearBeam
 import pytest
 import scipy.linalg
 
 import timo_sim
-from timo_sim.cli import main
 from timo_sim.model.bodies import Quadrature
 from timo_sim.model.layout import LOADS, without_unit
 from timo_sim.scene.loads import CHANNELS
@@ -306,25 +305,21 @@ def test_inputs_without_effect_are_left_out(values, inputs):
 def test_bode_diagram_from_the_command_line(tmp_path):
     scene, picture = tmp_path / 'scene.yaml', tmp_path / 'bode.png'
     scene.write_text('timo_sim: {ros__parameters: {hub.radius: 0.01}}')
-    told = CliRunner().invoke(main, ['bode', '--help']).output
+    told = call('bode', '--help')
     inputs = timo_sim.linearize({**MOTOR, 'push.position': 1.0}).inputs
     assert len(inputs) == 9 and all(re.search(rf'\b{name}\b', told) for name in inputs)
-    result = CliRunner().invoke(main, ['bode', str(scene), '--output', str(picture),
-                                       '--set', 'model.modes=3'])
-    assert result.exit_code == 0, result.output
-    assert result.output == f'{picture} is drawn\n' and picture.stat().st_size > 20000
+    assert f'{picture} is drawn\n' == call(
+        'bode', scene, '--output', picture, '--set', 'model.modes=3')
+    assert picture.stat().st_size > 20000
     for picture, name, words in ((picture, 'tip', "output 'tip' is none of"),
                                  ('bode.foo', 'shaft_rad', 'bode.foo cannot be drawn: Format')):
-        result = CliRunner().invoke(
-            main, ['bode', str(scene), '-o', str(picture), '--response', name])
-        assert result.exit_code == 2 and words in result.output
+        assert words in call('bode', scene, '-o', picture, '--response', name, code=2)
 
 
 @pytest.mark.filterwarnings('error')
 def test_the_bode_diagram_of_a_rigid_arm_has_gains_of_zero(tmp_path):
-    result = CliRunner().invoke(main, [
-        'bode', 'paper', '--set', 'model.modes=0', '--png', str(tmp_path / 'bode.png')])
-    assert result.exit_code == 0 and (tmp_path / 'bode.png').stat().st_size > 20000
+    call('bode', 'paper', '--set', 'model.modes=0', '--png', tmp_path / 'bode.png')
+    assert (tmp_path / 'bode.png').stat().st_size > 20000
 
 
 @pytest.mark.parametrize('values', [{'initial.shaft_velocity': 1.0},

@@ -8,7 +8,7 @@ import struct
 import subprocess
 import sys
 
-from click.testing import CliRunner
+from command_line import call
 from mcap.opcode import Opcode
 import numpy as np
 import pytest
@@ -16,7 +16,6 @@ from rosbags.rosbag2 import StoragePlugin, Writer
 from rosbags.typesys import get_typestore, Stores
 
 import timo_sim
-from timo_sim.cli import main
 from timo_sim.log.new_log import NewLog
 from timo_sim.log.notes import CHANGE, change_note, RESET
 from timo_sim.log.read import LogError
@@ -30,13 +29,6 @@ STORE = get_typestore(Stores.ROS2_JAZZY)
 TORQUES = ((0, 1.0), (299000001, -2.0), (500000000, np.inf), (700000000, 0.5))
 SCENE = {'load.torque.piecewise.time': [0.1, 0.4, 0.8],
          'load.torque.piecewise.value': [1.0, -2.0, 0.5]}
-
-
-def call(*arguments, code=0):
-    """Call the command line; return what it prints."""
-    result = CliRunner().invoke(main, [str(argument) for argument in arguments])
-    assert result.exit_code == code, (result.output, result.exception)
-    return result.output
 
 
 @pytest.fixture

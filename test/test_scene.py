@@ -9,7 +9,7 @@ from pathlib import Path
 import pickle
 import warnings
 
-from click.testing import CliRunner
+from command_line import call
 from hypothesis import example, given, HealthCheck, settings, strategies as st
 import numpy as np
 import pytest
@@ -17,7 +17,6 @@ import yaml
 
 from oracles import elastica
 import timo_sim
-from timo_sim.cli import main
 from timo_sim.scene import files
 from timo_sim.scene.files import read_parameter_file, scene_text
 from timo_sim.scene.parameters import PARAMETERS, SCENE, short
@@ -386,7 +385,7 @@ def test_what_is_no_scene_is_told_what_one_looks_like(tmp_path, text):
 
 def test_a_new_scene_is_an_arm_on_a_bench(tmp_path):
     path = tmp_path / 'mine.yaml'
-    assert CliRunner().invoke(main, ['new', str(path)]).exit_code == 0
+    call('new', path)
     with warnings.catch_warnings():
         warnings.simplefilter('error')
         scene = timo_sim.load_scene(path)
@@ -398,8 +397,7 @@ def test_a_new_scene_is_an_arm_on_a_bench(tmp_path):
         assert getattr(scene.manipulator, name) != getattr(default, name)
     assert scene.values['carrier.held'] == 'both'
     written = path.read_text()
-    again = CliRunner().invoke(main, ['new', str(path)])
-    assert again.exit_code == 1 and 'exists' in again.output and path.read_text() == written
+    assert 'exists' in call('new', path, code=1) and path.read_text() == written
 
 
 def test_files_that_are_wrong_or_made_to_break_their_reader(tmp_path):

@@ -7,12 +7,11 @@ from pathlib import Path
 import shutil
 import subprocess
 
-from click.testing import CliRunner
+from command_line import call
 import numpy as np
 import pytest
 
 import timo_sim
-from timo_sim.cli import main
 
 urdf_parser_py = pytest.importorskip('urdf_parser_py.urdf')
 
@@ -25,9 +24,8 @@ def urdf(scene, changes=None, code=0):
     """Return the output of the command for a scene with some parameters changed."""
     settings = [text for name, value in (changes or {}).items()
                 for text in ('--set', f'{name}={value}')]
-    result = CliRunner().invoke(main, ['urdf', str(scene), *settings])
-    assert result.exit_code == code, (result.output, result.exception)
-    return result.output[max(0, result.output.find('<?xml')):]  # after warnings on stderr
+    told = call('urdf', scene, *settings, code=code)
+    return told[max(0, told.find('<?xml')):]  # after warnings on stderr
 
 
 @pytest.mark.parametrize('name, changes', [

@@ -5,14 +5,13 @@
 
 import re
 
-from click.testing import CliRunner
+from command_line import call
 import numpy as np
 from oracles.linear_beam import ELEMENTS, LinearBeam, ORDER, spinning, WRIGHT
 import pytest
 import scipy.linalg
 
 import timo_sim
-from timo_sim.cli import main
 
 BARE = {'arm.length': 1.0, 'arm.section.width': 0.01, 'end_effector.mass': 0.0,
         'end_effector.inertia': 0.0}
@@ -166,15 +165,11 @@ def test_states_that_are_not_steady_are_refused(values, speed, words):
 
 def test_the_command_prints_and_draws(tmp_path):
     shapes, campbell = tmp_path / 'shapes.png', tmp_path / 'campbell.png'
-    result = CliRunner().invoke(main, ['modes', 'paper', '--png', str(shapes)])
-    assert result.exit_code == 0, result.output
-    system, clamped = result.output.split('clamped arm:')
+    system, clamped = call('modes', 'paper', '--png', shapes).split('clamped arm:')
     assert '   1       4.26714       26.8112' in system
     assert clamped.count('\n') == 6 and shapes.stat().st_size > 20000
-    result = CliRunner().invoke(main, ['modes', 'spin_up', '--png', str(campbell),
-                                       '--speed', '0', '3', '6'])
-    assert result.exit_code == 0, result.output
-    *_, last = re.findall(r'shaft at (\S+) rad/s:\n.*\n +1 +(\S+)', result.output)
+    told = call('modes', 'spin_up', '--png', campbell, '--speed', 0, 3, 6)
+    *_, last = re.findall(r'shaft at (\S+) rad/s:\n.*\n +1 +(\S+)', told)
     # The textbook's arm, by finite elements.
     expected = spinning(timo_sim.load_scene('spin_up'), 6.0, 1)[0] / (2.0 * np.pi)
     assert last[0] == '6.0' and float(last[1]) == pytest.approx(expected, rel=2e-3)

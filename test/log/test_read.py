@@ -10,7 +10,7 @@ import re
 import subprocess
 import sys
 
-from click.testing import CliRunner
+from command_line import call
 from mcap.opcode import Opcode
 from mcap.reader import make_reader
 from mcap.records import Channel as ChannelRecord, DataEnd, Message, Metadata, Schema
@@ -31,7 +31,6 @@ from std_srvs.srv import Trigger
 import yaml
 
 import timo_sim
-from timo_sim.cli import main
 from timo_sim.log.info import info
 from timo_sim.log.notes import START, SUMMARY
 from timo_sim.log.read import LogError, LogFile, recover
@@ -77,13 +76,6 @@ def with_reset(ros, tmp_path_factory):
     client.close()
     assert node.end()[0] == 0
     return node.log
-
-
-def call(*arguments, code=0):
-    """Call the command line; return what it prints."""
-    result = CliRunner().invoke(main, [str(argument) for argument in arguments])
-    assert result.exit_code == code, (result.output, result.exception)
-    return result.output
 
 
 def numbers(message):

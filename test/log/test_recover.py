@@ -14,6 +14,7 @@ import time
 import zlib
 
 from click.testing import CliRunner
+from command_line import call
 import lz4.frame
 from mcap.data_stream import RecordBuilder
 from mcap.opcode import Opcode
@@ -377,13 +378,12 @@ def test_a_log_that_is_still_being_written_is_called_that(start, client, tmp_pat
     called += [(['export', str(node.log), '-o', str(tmp_path / 'run.csv')], 2),
                (['recover', str(node.log)], 0)]
     for arguments, code in called:
-        result = CliRunner().invoke(main, arguments)
-        assert result.exit_code == code and result.output.count('\n') == 1, result.output
-        assert 'still being written' in result.output and 'died' not in result.output
+        told = call(*arguments, code=code)
+        assert told.count('\n') == 1 and 'still being written' in told and 'died' not in told
     node.send(signal.SIGKILL)
     node.wait()
-    text = CliRunner().invoke(main, ['info', str(node.log)]).output
-    assert 'its process died, or another tool still writes it: timo_sim recover' in text
+    assert 'its process died, or another tool still writes it: timo_sim recover' in call(
+        'info', node.log)
 
 
 def time_of(state):
