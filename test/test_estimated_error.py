@@ -4,7 +4,6 @@
 """The distance from a finer run is the error, by finite elements and by finer steps."""
 
 import math
-import warnings
 
 import numpy as np
 from oracles import elastica, spectral_elements
@@ -73,15 +72,13 @@ GROWS = {
 SHARED = {'initial.shaft_velocity': 20.0, 'model.modes': 3}
 
 
-def quietly(values, duration, every=5, **options):
-    with warnings.catch_warnings():
-        warnings.simplefilter('ignore', timo_sim.ModelWarning)
-        return timo_sim.simulate(timo_sim.load_scene({}, values), duration, every, **options)
+def simulate(values, duration, every=5, **options):
+    return timo_sim.simulate(timo_sim.load_scene({}, values), duration, every, **options)
 
 
 @pytest.mark.parametrize('name', SCENES)
 def test_the_error_is_the_distance_from_finite_elements(name):
-    run = quietly(SCENES[name], 0.5)
+    run = simulate(SCENES[name], 0.5)
     tip = spectral_elements.simulate(run.scene, 0.005, 100, order=8, courant=0.9)[2]
     error = np.linalg.norm(run.position(2.0) - tip, axis=1).max()
     assert error > 1e-5
@@ -91,7 +88,7 @@ def test_the_error_is_the_distance_from_finite_elements(name):
 
 
 def test_steps_that_do_not_resolve_axial_vibrations():
-    run = quietly(ABRUPT, 1.0)
+    run = simulate(ABRUPT, 1.0)
     tip = spectral_elements.simulate(run.scene, 0.025, 40, order=8, courant=0.9)[2]
     error = np.linalg.norm(run.position(2.0) - tip, axis=1).max()
     assert run.stats['estimated_tip_error_m'] == pytest.approx(error, rel=0.5)
@@ -100,7 +97,7 @@ def test_steps_that_do_not_resolve_axial_vibrations():
 @pytest.mark.parametrize('name', TURN)
 def test_stretch_is_measured_by_steps_that_do_not_resolve_axial_vibrations(name):
     """Without an axial mode the estimate would be a tenth of the error."""
-    run = quietly({**TURN[name], 'integrator.step': 0.01}, 0.6, 1)
+    run = simulate({**TURN[name], 'integrator.step': 0.01}, 0.6, 1)
     assert choose_parts(run.scene)[0] == 2
     tip = spectral_elements.simulate(run.scene, 0.01, 60, order=8, courant=0.9)[2]
     error = np.linalg.norm(run.position(2.0) - tip, axis=1).max()
@@ -114,7 +111,7 @@ def test_errors_that_grow_are_measured(name):
     values, steps = GROWS[name]
     scene = timo_sim.load_scene({}, values)
     length, every = scene.values['arm.length'], steps // 20
-    run = quietly(values, steps * scene.step, every)
+    run = simulate(values, steps * scene.step, every)
     tip = spectral_elements.simulate(scene.vary({'model.axial_modes': 0}), every * scene.step, 20,
                                      order=8, courant=0.9)[2]
     error = np.linalg.norm(run.position(length) - tip, axis=1).max()
@@ -130,7 +127,7 @@ def test_errors_that_grow_are_measured(name):
 
 def test_the_measured_error_does_not_depend_on_the_samples_asked_for():
     """Between samples far apart the tips are compared as well."""
-    found = [quietly(SCENES['stretch'], 0.5, every).stats['estimated_tip_error_m']
+    found = [simulate(SCENES['stretch'], 0.5, every).stats['estimated_tip_error_m']
              for every in (1, 5, 100, 500)]
     assert found == pytest.approx([found[0]] * 4, rel=0.1)
 
@@ -138,13 +135,13 @@ def test_the_measured_error_does_not_depend_on_the_samples_asked_for():
 def test_a_comparison_changes_no_model_that_others_use():
     """A later scene of the same bodies has the bits of one that nothing came before."""
     before, _ = timo_sim.Simulator(SHARED).advance(50, sample_every=10)
-    quietly(SHARED, 0.05, estimate=True)
+    simulate(SHARED, 0.05, estimate=True)
     again, _ = timo_sim.Simulator(SHARED).advance(50, sample_every=10)
     np.testing.assert_array_equal(again, before)
 
 
 def test_an_error_is_measured_only_if_asked_for():
-    once, twice = (quietly(SCENES['stretch'], 0.5, estimate=choice) for choice in (False, True))
+    once, twice = (simulate(SCENES['stretch'], 0.5, estimate=choice) for choice in (False, True))
     assert math.isnan(once.stats['estimated_tip_error_m'])
     np.testing.assert_array_equal(once.values, twice.values)
     assert math.isnan(timo_sim.Simulator('paper').estimated_error)
@@ -156,7 +153,7 @@ def test_an_error_is_measured_only_if_asked_for():
     ({'integrator.step': 0.02, 'carrier.held': 'both', 'load.torque.harmonic.amplitude': [500.0],
       'load.torque.harmonic.frequency': [8.0]}, 'a smaller integrator.step')])
 def test_the_warning_names_what_moves_the_tip_most(values, remedy):
-    assert quietly(values, 1.0).warning.endswith(f'take {remedy}')
+    assert simulate(values, 1.0).warning.endswith(f'take {remedy}')
 
 
 def test_the_error_under_commands_is_that_from_finer_steps():
@@ -243,11 +240,11 @@ def test_a_finer_run_starts_where_the_run_does_also_if_static_shapes_are_bent():
 
 def test_one_mode_has_a_finer_run():
     one = {'model.modes': 1, 'initial.modal_coordinates': [0.2], 'arm.damping_ratio': [0.01]}
-    assert quietly(one, 0.1).stats['estimated_tip_error_m'] > 0.0
+    assert simulate(one, 0.1).stats['estimated_tip_error_m'] > 0.0
 
 
 def test_steps_with_dry_friction_are_fine_enough():
-    run = quietly(DRY, 2.0)
+    run = simulate(DRY, 2.0)
     fine = run_scene(refine(run.scene, 16), 16 * run.stats['steps'], 16 * 5)
     error = np.linalg.norm(run.position(0.329) - fine.position(0.329), axis=1).max()
     assert run.stats['estimated_tip_error_m'] == pytest.approx(error, rel=0.1)

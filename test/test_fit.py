@@ -4,7 +4,6 @@
 """Fits of scenes to records: truth recovered, inputs, sensors, doubts."""
 
 import re
-import warnings
 
 import numpy as np
 import pytest
@@ -248,9 +247,7 @@ def test_a_quick_fit_is_the_same_without_profiles_and_suspects():
     scene, free = {**ARM, **MOTOR}, ['motor.viscous_friction', 'arm.young_modulus']
     record = noisy(predicted({**scene, 'motor.coulomb_friction': 0.02}, {
         'voltage': (T[:751], VOLTAGE[:751])}, ['shaft'], t=T[:751]), {'shaft': 1e-3})
-    with warnings.catch_warnings():
-        warnings.simplefilter('ignore', timo_sim.ModelWarning)
-        quick, whole = (timo_sim.fit(scene, record, free, quick=quick) for quick in (True, False))
+    quick, whole = (timo_sim.fit(scene, record, free, quick=quick) for quick in (True, False))
     assert quick.scene.values == whole.scene.values and not quick.white
     assert whole.suspects and not quick.suspects
     assert not any(each.profile for each in quick.estimates.values())
@@ -353,11 +350,9 @@ def test_missing_dry_friction_is_a_suspect(more, told):
     """Residuals of records of arms that the scene is not: with dry friction, and otherwise."""
     record = noisy(predicted({**ARM, **MOTOR, **more}, {'voltage': (T[:751], VOLTAGE[:751])}, [
         'shaft', 'tip_transverse'], t=T[:751]), {'shaft': 1e-3, 'tip_transverse': 3e-4})
-    with warnings.catch_warnings():
-        warnings.simplefilter('ignore', timo_sim.ModelWarning)
-        found = timo_sim.fit({**ARM, **MOTOR}, record, [
-            'arm.young_modulus', 'motor.viscous_friction', 'motor.shaft_inertia',
-            'end_effector.mass'], starts=1)
+    found = timo_sim.fit({**ARM, **MOTOR}, record, [
+        'arm.young_modulus', 'motor.viscous_friction', 'motor.shaft_inertia',
+        'end_effector.mass'], starts=1)
     assert ('set motor.coulomb_friction to about' in found.report()) == told
     assert 'carrier.coulomb_friction' not in found.report()
 
@@ -376,10 +371,8 @@ def test_a_delay_of_an_input_is_none_of_all_outputs():
     record = noisy(predicted({**ARM, **MOTOR, 'motor.coulomb_friction': 0.02}, {
         'voltage': (T[:751], VOLTAGE[:751])}, ['shaft'], {'shaft.delay': 0.01}, T[:751]),
         {'shaft': 1e-3})
-    with warnings.catch_warnings():
-        warnings.simplefilter('ignore', timo_sim.ModelWarning)
-        found = timo_sim.fit({**ARM, **MOTOR}, record, ['motor.viscous_friction', 'shaft.delay'],
-                             starts=1)
+    found = timo_sim.fit({**ARM, **MOTOR}, record, ['motor.viscous_friction', 'shaft.delay'],
+                         starts=1)
     assert 'a delay of voltage' not in {each.name for each in found.suspects}
 
 

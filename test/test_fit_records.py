@@ -76,7 +76,6 @@ def test_a_fit_finds_the_truth_from_a_wrong_guess():
     assert times == sorted(times)
 
 
-@pytest.mark.filterwarnings('ignore::timo_sim.ModelWarning')
 def test_a_long_fit_says_what_makes_it_shorter(monkeypatch):
     monkeypatch.setattr(result, '_LONG', 0.0)
     told = []

@@ -6,7 +6,6 @@
 
 from pathlib import Path
 import re
-import warnings
 
 import numpy as np
 import pytest
@@ -49,10 +48,8 @@ def record(more=None, volts=VOLTAGE, late=0, signs=(1.0, 1.0), told=VOLTAGE):
 def fit(measured, free=FREE, factor=1.1, more=None, **options):
     guess = {name: [1.1 * value[0]] if isinstance(value, tuple) else factor * value
              for name, value in ARM.values.items() if name in free}
-    with warnings.catch_warnings():
-        warnings.simplefilter('ignore', timo_sim.ModelWarning)
-        return timo_sim.fit(ARM.vary({**guess, **(more or {})}), measured, free, starts=1,
-                            **options)
+    return timo_sim.fit(ARM.vary({**guess, **(more or {})}), measured, free, starts=1,
+                        **options)
 
 
 @pytest.mark.parametrize('name, made', [

@@ -51,7 +51,6 @@ def test_methods_with_fixed_steps_have_their_order(method, order, truth):
     assert observed == pytest.approx(order, abs=0.3)
 
 
-@pytest.mark.filterwarnings('ignore::timo_sim.ModelWarning')
 def test_a_chain_of_links_tends_to_the_arm():
     """An arm that hardly shears is the limit of its chains, with errors of second order."""
     scene = timo_sim.load_scene(ROOT / 'config' / 'paper.yaml', {
@@ -66,7 +65,6 @@ def test_a_chain_of_links_tends_to_the_arm():
     assert np.log2(errors[0] / errors[1]) == pytest.approx(2.0, abs=0.05)
 
 
-@pytest.mark.filterwarnings('ignore::timo_sim.ModelWarning')
 @pytest.mark.parametrize('source, drive', [('paper', None), ('spin_up', spin_up())])
 def test_exponential_steps_of_links_have_their_order(source, drive):
     """The shaft is free, or driven; short Runge-Kutta steps are the truth."""

@@ -361,7 +361,6 @@ _NUMBER = re.compile(r'-?\d+(?:\.\d+)?(?:e[-+]\d+)?')
 @pytest.mark.parametrize('page', [
     'README.md', 'doc/python.md', 'doc/control.md', 'doc/observer.md', 'doc/ros.md',
     'doc/tutorial/python.md', 'doc/tutorial/control.md'])
-@pytest.mark.filterwarnings('ignore::timo_sim.ModelWarning')
 def test_its_python_runs(page, tmp_path, monkeypatch, capsys):
     """Run all blocks of a page in turn; a block `text` is the output of the one before."""
     monkeypatch.chdir(tmp_path)

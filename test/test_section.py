@@ -10,8 +10,6 @@ import scipy.integrate
 import timo_sim
 from timo_sim.model.bodies import SHAPES
 
-pytestmark = pytest.mark.filterwarnings('ignore:is this meant')  # widths of round sections
-
 WIDTH, HEIGHT, WALL, WEB = 0.03, 0.04, 0.004, 0.006
 SIZES = {'rectangle': {}, 'round': {}, 'tube': {'wall': WALL}, 'box': {'wall': WALL},
          'i': {'wall': WALL, 'web': WEB}}
@@ -125,7 +123,6 @@ UNIFORM = {'arm.section.bending_stiffness': 0.0, 'arm.section.mass_per_length': 
 
 
 @pytest.mark.parametrize('profile', [{}, UNIFORM], ids=['uniform', 'profile'])
-@pytest.mark.filterwarnings('ignore::timo_sim.ModelWarning')
 def test_stiffness_and_mass_alone_are_a_beam_of_euler_and_bernoulli(profile):
     """The limit: frequencies differ by `(beta l)^2 / 1e6` at most, deflections by 3e-6."""
     scene = timo_sim.load_scene({}, {**BLADE, **profile, 'load.tip_force_y.piecewise.time': [0.0],
@@ -160,7 +157,6 @@ def test_what_is_measured_beside_them_counts():
     ({'arm.section.bending_stiffness': 0.0},
      'arm.section.bending_stiffness must be > 0 with arm.section.mass_per_length = 500'),
     ({'model.axial_modes': 1}, 'model.axial_modes must be 0 where .*axial_stiffness is not')])
-@pytest.mark.filterwarnings('ignore::timo_sim.ModelWarning')
 def test_half_a_measured_section_is_refused(values, message):
     with pytest.raises(timo_sim.ParameterError, match=message):
         timo_sim.load_scene({}, {**BLADE, **values})

@@ -4,7 +4,6 @@
 """Steps: estimates of their errors, warnings, divergence, rest."""
 
 import tracemalloc
-import warnings
 
 import numpy as np
 import pytest
@@ -18,13 +17,11 @@ from timo_sim.simulation.simulator import Simulator
 def error_of(step, every, duration=4.0, axial=1, **values):
     """Return the true error of the tip, the estimate and the run."""
     scene = timo_sim.load_scene({}, {'integrator.step': step, 'model.modes': 5, **values})
-    with warnings.catch_warnings():
-        warnings.simplefilter('ignore', timo_sim.ModelWarning)
-        run = timo_sim.simulate(scene, duration, every)
-        # As many modes as the run that gives the estimate: no other size is compiled.
-        finest = {'integrator.step': 0.001, 'model.modes': 8, 'model.axial_modes': axial}
-        fine = timo_sim.simulate(scene.vary(finest), duration, round(1000 * step) * every,
-                                 estimate=False)
+    run = timo_sim.simulate(scene, duration, every)
+    # As many modes as the run that gives the estimate: no other size is compiled.
+    finest = {'integrator.step': 0.001, 'model.modes': 8, 'model.axial_modes': axial}
+    fine = timo_sim.simulate(scene.vary(finest), duration, round(1000 * step) * every,
+                             estimate=False)
     error = np.linalg.norm(run.position(2.0) - fine.position(2.0), axis=1).max()
     return error, run.stats['estimated_tip_error_m'], run
 

@@ -39,7 +39,6 @@ PUSHED = {'push.position': 0.5, 'load.push_y.harmonic.amplitude': [2.0],
           'load.push_y.harmonic.frequency': [2.0]}
 
 
-@pytest.mark.filterwarnings('ignore:is this meant')
 @pytest.mark.parametrize('name, values', [
     ('exact', {**PUSHED, 'carrier.held': 'x', 'gravity': [1.0, -9.0]}),
     ('exact', {'model.axial_modes': 1, 'carrier.held': 'both'}),

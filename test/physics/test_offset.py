@@ -52,7 +52,6 @@ def test_frequencies_are_those_of_finite_elements(offset, wanted):
         assert 2.0 * np.pi * found == pytest.approx(wanted, rel=1e-5)
 
 
-@pytest.mark.filterwarnings('ignore:is this meant')
 @pytest.mark.parametrize('name, values', [
     ('exact', {'model.axial_modes': 1, 'model.static_modes': 'force', 'hub.radius': 0.1}),
     ('newton', {'carrier.held': 'y', 'gravity': [1.0, -9.0]})], ids=str)

@@ -42,7 +42,6 @@ def test_frequencies_of_a_beam_on_a_clamp_that_gives(stiffness):
         assert modes_of(each.manipulator, 4).omega == pytest.approx(wanted, rel=1e-5)
 
 
-@pytest.mark.filterwarnings('ignore:is this meant')
 @pytest.mark.parametrize('name, values', [
     ('exact', {'model.axial_modes': 1, 'model.static_modes': 'both'}),
     ('newton', {'carrier.held': 'y', 'gravity': [1.0, -9.0], 'hub.radius': 0.1})], ids=str)

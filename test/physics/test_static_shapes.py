@@ -3,7 +3,6 @@
 
 """Static shapes of loads on a light tip: the arc of a clamped arm under a tip torque."""
 
-import warnings
 
 import numpy as np
 import pytest
@@ -41,10 +40,8 @@ def test_the_estimate_under_a_tip_torque_is_the_distance_to_the_arc(modes, stati
     values = {**BARE, **shear, 'initial.equilibrium': True, 'model.modes': modes,
               'model.static_modes': static, 'load.tip_torque.piecewise.time': [0.0]}
     torque, tip = arc(timo_sim.load_scene('paper', {**BARE, **shear}))
-    with warnings.catch_warnings():
-        warnings.simplefilter('ignore', timo_sim.ModelWarning)
-        run = timo_sim.simulate(timo_sim.load_scene(
-            'paper', {**values, 'load.tip_torque.piecewise.value': [torque]}), 0.02)
+    run = timo_sim.simulate(timo_sim.load_scene(
+        'paper', {**values, 'load.tip_torque.piecewise.value': [torque]}), 0.02)
     error, estimate = np.hypot(*(run.position()[-1] - tip)), run.stats['estimated_tip_error_m']
     if static == 'auto':
         assert error < 2e-8 and estimate < 2e-8
@@ -116,10 +113,8 @@ def test_two_shapes_of_a_sandwich_arm_do_not_resonate_with_the_step(static):
     scene = timo_sim.load_scene('paper', {
         **BARE, **soft_in_shear(11.0), 'model.modes': 5, 'model.static_modes': static,
         'load.tip_force_y.piecewise.time': [0.0], 'load.tip_force_y.piecewise.value': [120.0]})
-    with warnings.catch_warnings():
-        warnings.simplefilter('ignore', timo_sim.ModelWarning)
-        coarse, fine = (timo_sim.simulate(scene.vary({'integrator.step': step}), 0.5, every)
-                        for step, every in ((1e-3, 1), (1e-4, 10)))
+    coarse, fine = (timo_sim.simulate(scene.vary({'integrator.step': step}), 0.5, every)
+                    for step, every in ((1e-3, 1), (1e-4, 10)))
     # Measured: 0.004 m; undamped at its own frequency the shape put the run of 1 ms 0.11 m off.
     # The finer run of 1 ms has no vibration of the shapes, either: it sees half of the error.
     error = np.hypot(*(coarse.position() - fine.position()).T).max()
@@ -135,10 +130,8 @@ def test_the_estimate_of_an_arm_soft_in_shear_is_its_distance_to_the_elastica(ra
     force = 2.0 * scene.manipulator.arm.section.bending_stiffness
     _, across, short = boundary_value(scene.manipulator.arm.section, force, 0.0, 1.0,
                                       stretches=True)
-    with warnings.catch_warnings():
-        warnings.simplefilter('ignore', timo_sim.ModelWarning)
-        run = timo_sim.simulate(scene.vary({'load.tip_force_y.piecewise.time': [0.0],
-                                            'load.tip_force_y.piecewise.value': [force]}), 0.004)
+    run = timo_sim.simulate(scene.vary({'load.tip_force_y.piecewise.time': [0.0],
+                                        'load.tip_force_y.piecewise.value': [force]}), 0.004)
     error = np.hypot(*(run.position()[-1] - [1.0 - short, across]))
     assert error > 1e-4  # measured: 6.5e-3, 2.4e-4
     assert 0.9 < run.stats['estimated_tip_error_m'] / error < 1.1

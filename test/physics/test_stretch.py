@@ -3,7 +3,6 @@
 
 """Arms that stretch: closed forms of the rod, conserved quantities, spectral elements."""
 
-import warnings
 
 import numpy as np
 import pytest
@@ -112,7 +111,6 @@ def test_an_arm_that_only_stretches_vibrates_about_its_centrifugal_stretch(held)
     ({'carrier.held': 'x', **SPINNING}, 8, 0.001, 1e-4, 2e-5),
     ({'carrier.held': 'both', **DRIVEN}, 5, 0.005, 2e-5, 5e-6),
 ], ids=['held', 'free', 'x held', 'driven'])
-@pytest.mark.filterwarnings('ignore::timo_sim.ModelWarning')  # axial ringing of the first step
 def test_one_axial_mode_moves_as_spectral_elements(values, modes, step, effect, limit):
     scene = scene_of(values, **{'model.modes': modes, 'integrator.step': step})
     tip = spectral_elements.simulate(scene, 0.05, 30, courant=0.9)[2]
@@ -174,9 +172,7 @@ def test_the_estimate_of_a_pulled_arm_is_its_error_until_three_axial_modes_have_
         'carrier.held': 'both', 'motor.shaft': 'locked', 'initial.equilibrium': True,
         'load.tip_force_x.piecewise.time': [0.0], 'load.tip_force_x.piecewise.value': [100.0],
         'model.axial_modes': axial})
-    with warnings.catch_warnings():
-        warnings.simplefilter('ignore', timo_sim.ModelWarning)
-        run = timo_sim.simulate(scene, 0.004)
+    run = timo_sim.simulate(scene, 0.004)
     error = np.hypot(*(run.position()[-1] - [1.1, 0.0]))
     estimate = run.stats['estimated_tip_error_m']
     if axial == 3:
