@@ -48,8 +48,7 @@ def pytest_collection():
 OF_ONE_SIZE = {
     'log', 'ros', 'tools', 'test_code_store.py', 'test_compiled.py', 'test_composition.py',
     'test_export.py', 'test_export_fmu.py', 'test_export_web.py', 'test_gpu.py',
-    'test_hardware.py', 'test_replay.py', 'test_sweep.py', 'test_sweep_command.py',
-    'test_threads.py'}
+    'test_hardware.py', 'test_sweep.py', 'test_sweep_command.py', 'test_threads.py'}
 LIKE_A_RUN = {module.__name__ for module in (functions, etdrk4, lanes, derivatives)}
 
 
