@@ -136,3 +136,14 @@ def test_the_estimate_of_an_arm_soft_in_shear_is_its_distance_to_the_elastica(ra
     assert error > 1e-4  # measured: 6.5e-3, 2.4e-4
     assert 0.9 < run.stats['estimated_tip_error_m'] / error < 1.1
     assert error < 6e-4 or run.warning.endswith('equations alone mends that')
+
+
+def test_a_rigid_arm_has_no_shape_of_shear():
+    """A tip torque on a rigid arm whose section is soft in shear turns arm and shaft as one body."""
+    scene = timo_sim.load_scene({}, {
+        'model.modes': 0, 'arm.section.bending_stiffness': 50.0,
+        'arm.section.shear_stiffness': 50.0, 'arm.section.mass_per_length': 1.0,
+        'load.torque.harmonic.amplitude': [], 'load.tip_torque.piecewise.time': [0.0],
+        'load.tip_torque.piecewise.value': [1.0]})
+    run = timo_sim.simulate(scene, 0.1)
+    assert run.stats['estimated_tip_error_m'] < 1e-9

@@ -55,7 +55,7 @@ def needed_static_of_finer(body: Manipulator, count: int) -> tuple[str, ...]:
     shape of shear alone besides, which no mode has.
     """
     shapes = _needed(body, count, _LEFT_OUT_BY_FINER, (0,))
-    return (*shapes, 'shear') if _of_tip(body.arm)[1] else shapes
+    return (*shapes, 'shear') if count and _of_tip(body.arm)[1] else shapes
 
 
 @lru_cache(maxsize=64)
