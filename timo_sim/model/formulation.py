@@ -19,7 +19,7 @@ from timo_sim.model.functions import (
     accelerations_of, coulomb, efforts, energies, Flow, gear_torque, Outline, rate_once, Root,
     states, tips, within)
 from timo_sim.model.layout import LINKS, LOADS, rotate
-from timo_sim.model.modes import axial_modes, GearMode, JoinedModes, Modes, modes_of
+from timo_sim.model.modes import axial_modes, JoinedModes, Modes, modes_of
 
 
 DRAWN = 41  # points of the centre line that views draw
@@ -112,8 +112,9 @@ class Formulation(ABC):
         self.modes: Modes = modes_of(basis, count, static)
         self.axial = axial
         self.gear: Any = manipulator.gear
-        if self.gear:
-            self.modes = JoinedModes(self.modes, GearMode(self.gear))
+        if self.gear:  # its mode turns the rotor against the shaft (T60)
+            self.modes = JoinedModes(self.modes, Modes(np.array([
+                math.sqrt(self.gear.stiffness / self.gear.inertia)])))
         # Modes are orthonormal only for the end effector that they were computed with.
         self.own_modes = basis == manipulator
         if axial:

@@ -15,16 +15,17 @@ import math
 from typing import NamedTuple
 
 import numpy as np
+from numpy.typing import ArrayLike
 
 from timo_sim.compiled.constants import pack
 from timo_sim.compiled.entry import entry_point
 from timo_sim.compiled.functions import Array, Constants, magnitude, square_root, strict
-from timo_sim.model.bodies import Constraints, Gear, Manipulator, Quadrature
+from timo_sim.model.bodies import Constraints, Manipulator, Quadrature
 
 
 class Modes:
     """
-    Mode shapes, mass-normalised as in doc/theory.md (T3); a field that is not defined is zero.
+    Mode shapes, mass-normalised as in doc/theory.md (T3); those of this class do not move the arm.
 
     Attributes
     ----------
@@ -33,65 +34,52 @@ class Modes:
 
     """
 
-    omega: np.ndarray
+    def __init__(self, omega: np.ndarray) -> None:
+        self.omega = omega
 
     def __len__(self) -> int:
         return len(self.omega)
 
     def fields(self, xi: np.ndarray) -> Sequence[np.ndarray]:
         """Return all that follow, in this order."""
-        return [field(xi) for field in (self.deflection, self.rotation, self.curvature, self.shear,
-                                        self.stretch, self.displacement)]
-
-    def _field(self, number: int, xi: np.ndarray) -> np.ndarray:
-        return np.zeros((len(xi), len(self)))
+        return 6 * [np.zeros((len(xi), len(self)))]
 
     def deflection(self, xi: np.ndarray) -> np.ndarray:
         """Return W_n(xi), shape (len(xi), N) [1/sqrt(kg)]."""
-        return self._field(0, xi)
+        return self.fields(xi)[0]
 
     def rotation(self, xi: np.ndarray) -> np.ndarray:
         """Return Phi_n(xi), shape (len(xi), N) [1/(m sqrt(kg))]."""
-        return self._field(1, xi)
+        return self.fields(xi)[1]
 
     def curvature(self, xi: np.ndarray) -> np.ndarray:
         """Return Phi_n'(xi), shape (len(xi), N) [1/(m2 sqrt(kg))]."""
-        return self._field(2, xi)
+        return self.fields(xi)[2]
 
     def shear(self, xi: np.ndarray) -> np.ndarray:
         """Return the shear strain (W_n' - Phi_n)(xi), shape (len(xi), N) [1/(m sqrt(kg))]."""
-        return self._field(3, xi)
+        return self.fields(xi)[3]
 
     def stretch(self, xi: np.ndarray) -> np.ndarray:
         """Return the axial strain E_n(xi), shape (len(xi), N) [1/(m sqrt(kg))]."""
-        return self._field(4, xi)
+        return self.fields(xi)[4]
 
     def displacement(self, xi: np.ndarray) -> np.ndarray:
         """Return the integral of E_n from the root to xi, shape (len(xi), N) [1/sqrt(kg)]."""
-        return self._field(5, xi)
+        return self.fields(xi)[5]
 
 
 class JoinedModes(Modes):
     """Modes of one set, followed by those of another."""
 
     def __init__(self, *parts: Modes) -> None:
+        super().__init__(np.concatenate([part.omega for part in parts]))
         self._parts = parts
-        self.omega = np.concatenate([part.omega for part in parts])
 
     def fields(self, xi: np.ndarray) -> Sequence[np.ndarray]:
         """Return all fields, see `Modes`."""
         return [np.concatenate(each, axis=1) for each in zip(*(
             part.fields(xi) for part in self._parts))]
-
-    def _field(self, number, xi):
-        return self.fields(xi)[number]
-
-
-class GearMode(Modes):
-    """The rotor turns against the shaft, held by its gear (T60); the arm stays as it is."""
-
-    def __init__(self, gear: Gear) -> None:
-        self.omega = np.array([math.sqrt(gear.stiffness / gear.inertia)])
 
 
 @functools.lru_cache(maxsize=16)
@@ -129,7 +117,8 @@ class UniformModes(Modes):
             end_effector_inertia=manipulator.end_effector_inertia,
             end_effector_offset=manipulator.end_effector_offset,
             root=sum(section.bending_stiffness / each for each in manipulator.arm.root)))
-        self.omega, self._shape = np.empty(count), np.empty((count, 4))
+        super().__init__(np.empty(count))
+        self._shape = np.empty((count, 4))
         found = lowest_modes(self._arm, self.omega, self._shape, count)
         if found < count:
             raise ValueError(f'mode {found + 1} of the arm is not found above the one before: its '
@@ -147,9 +136,6 @@ class UniformModes(Modes):
         values, none = np.empty((len(xi) * count, 4)), np.zeros((len(xi), count))
         set_fields(self._arm, self.omega, count, self._shape, xi, len(xi), values)
         return [*values.reshape(len(xi), count, 4).transpose(2, 0, 1), none, none]
-
-    def _field(self, number, xi):
-        return self.fields(xi)[number]
 
 
 # Waves of a uniform arm, whose sums are its mode shapes: boundary conditions and fields, compiled.
@@ -403,37 +389,30 @@ def set_fields(arm, omega, count, shape, xi, points, out):
 
 class StrainModes(Modes):
     """
-    Bending modes given by their curvature and shear strain at the nodes of a quadrature.
+    Modes given by strains at the nodes of a quadrature.
 
-    Strains are polynomials in each span on which the section is smooth; rotation and deflection
-    are their integrals from the root, so they are continuous where spans meet. The slope is
-    integrated by its values at the nodes of `fine`, by default those of the strains. `root`,
-    (0 or 1, N), are rotations of a clamp that gives.
+    Rows of `strains`, (2 n_g or one more, N), are curvature, then shear strain at the nodes, then
+    rotations of a clamp that gives; `stretch`, (n_g, N), are axial strains. They are polynomials
+    in each span on which the section is smooth; rotation, deflection and displacement are their
+    integrals from the root, so they are continuous where spans meet. The slope is integrated by
+    its values at the nodes of `fine`, by default those of the strains.
     """
 
-    def __init__(self, omega: np.ndarray, strains: Quadrature, curvature: np.ndarray,
-                 shear: np.ndarray, root: np.ndarray, fine: Quadrature | None = None) -> None:
-        self.omega, self._strains, self._fine = omega, strains, fine
-        self._curvature, self._shear, self._root = curvature, shear, root
+    def __init__(self, omega: np.ndarray, rule: Quadrature, strains: np.ndarray,
+                 fine: Quadrature | None = None, stretch: ArrayLike = 0.0) -> None:
+        super().__init__(omega)
+        nodes, self._rule, self._fine = len(rule.nodes), rule, fine or rule
+        self._curvature, self._shear, root = np.split(strains, [nodes, 2 * nodes])
+        self._root, self._stretch = root.sum(axis=0), np.zeros_like(self._shear) + stretch
+        self._slope = rule.integrate_to(self._fine.nodes) @ self._curvature + self._root + (
+            rule.interpolate_to(fine.nodes) @ self._shear if fine else self._shear)
 
-    def deflection(self, xi: np.ndarray) -> np.ndarray:
-        """Return W_n(xi), see `Modes`."""
-        fine = self._fine or self._strains
-        shear = self.shear(fine.nodes) if self._fine else self._shear
-        return fine.integrate_to(xi) @ (self.rotation(fine.nodes) + shear)
-
-    def rotation(self, xi: np.ndarray) -> np.ndarray:
-        """Return Phi_n(xi), see `Modes`."""
-        found = self._strains.integrate_to(xi) @ self._curvature
-        return found + self._root if len(self._root) else found
-
-    def curvature(self, xi: np.ndarray) -> np.ndarray:
-        """Return Phi_n'(xi), see `Modes`."""
-        return self._strains.interpolate_to(xi) @ self._curvature
-
-    def shear(self, xi: np.ndarray) -> np.ndarray:
-        """Return (W_n' - Phi_n)(xi), see `Modes`."""
-        return self._strains.interpolate_to(xi) @ self._shear
+    def fields(self, xi: np.ndarray) -> Sequence[np.ndarray]:
+        """Return all fields, see `Modes`."""
+        value, integral = self._rule.interpolate_to(xi), self._rule.integrate_to(xi)
+        return [self._fine.integrate_to(xi) @ self._slope, integral @ self._curvature + self._root,
+                value @ self._curvature, value @ self._shear, value @ self._stretch,
+                integral @ self._stretch]
 
 
 class GalerkinModes(StrainModes):
@@ -451,58 +430,38 @@ class GalerkinModes(StrainModes):
     def __init__(self, manipulator: Manipulator, count: int) -> None:
         # Two nodes for each mode give 1e-12 at the fortieth mode of a slender arm; the others are
         # a margin for a heavy tip or a strong taper.
-        terms = 2 * count + 30
-        strains, fine = _operators(tuple(manipulator.arm.breaks.tolist()), terms)[:2]
-        (_, singular, rows), bend, shear, root = _strain_modes(manipulator, terms)
+        rule, fine, scale, deflection, rotation = _of_arm(manipulator.arm, 2 * count + 30)
+        mass, inertia = (np.sqrt(values)[:, np.newaxis] for values in manipulator.inertia(fine))
+        _, singular, rows = np.linalg.svd(np.concatenate([
+            mass * manipulator.of_masses(deflection, rotation), inertia * rotation]),
+            full_matrices=False)
         omega = 1.0 / singular[:count]
-        scaled = rows[:count].T * omega
-        curvature, strain, turn = np.split(scaled, [len(bend), 2 * len(bend)])
-        super().__init__(omega, strains, curvature * bend[:, np.newaxis],
-                         strain * shear[:, np.newaxis], turn * root[:, np.newaxis], fine)
-        sign = np.sign(self.curvature(np.zeros(1))[0])
-        self._curvature *= sign
-        self._shear *= sign
-        self._root *= sign
+        strains = rows[:count].T * omega * scale[:, np.newaxis]
+        super().__init__(omega, rule, _upward(rule, strains), fine)
 
 
-@functools.lru_cache(maxsize=8)
-def _operators(breaks, terms):
-    # Returns the nodes of the strains, the finer nodes and points of the fields, and three
-    # matrices: from nodal strains to integrals at the points, from nodal strains to values at the
-    # fine nodes, and from these to integrals at the points. Three more nodes in a span integrate
-    # the product of two fields and a cubic section exactly.
-    nodes, fine = Quadrature(breaks, terms), Quadrature(breaks, terms, extra=3)
-    return (nodes, fine, nodes.integrate_to(fine.points), nodes.interpolate_to(fine.nodes),
-            fine.integrate_to(fine.points))
+def _upward(rule, strains):
+    # Strains with signs for which the curvature is positive at the root.
+    return strains * np.sign(rule.interpolate_to(np.zeros(1)) @ strains[:len(rule.nodes)])
 
 
 @functools.lru_cache(maxsize=8)
 def _of_arm(arm, terms):
-    # Factors from scaled to nodal strains of bending and shear and to the turn of a clamp, and
-    # matrices from scaled strains to deflections and rotations of the points of mass; cached,
-    # since manipulators often differ in the end effector alone.
-    nodes, _, integrate, interpolate, integrate_fine = _operators(
-        tuple(arm.breaks.tolist()), terms)
-    section = arm.at(nodes.nodes)
-    bend = 1.0 / np.sqrt(nodes.weights * section.bending_stiffness)
-    shear = 1.0 / np.sqrt(nodes.weights * section.shear_stiffness)
+    # Returns the nodes of the strains, the finer nodes and points of the fields, factors from
+    # scaled to nodal strains of bending and shear and to the turn of a clamp, and matrices from
+    # scaled strains to deflections and rotations of the points of mass. Three more nodes in a span
+    # integrate the product of two fields and a cubic section exactly. Cached, since manipulators
+    # often differ in the end effector alone.
+    rule, fine = Quadrature(arm.breaks, terms), Quadrature(arm.breaks, terms, extra=3)
+    integrate, section = rule.integrate_to(fine.points), arm.at(rule.nodes)
+    bend = 1.0 / np.sqrt(rule.weights * section.bending_stiffness)
+    shear = 1.0 / np.sqrt(rule.weights * section.shear_stiffness)
     root = 1.0 / np.sqrt(np.array(arm.root, dtype=float))
     turn = np.ones((len(integrate), len(root))) * root
-    slope = np.hstack([integrate[:-1] * bend, interpolate * shear, turn[:-1]])
-    return bend, shear, root, integrate_fine @ slope, np.hstack(
-        [integrate * bend, np.zeros_like(integrate), turn])
-
-
-def _strain_modes(manipulator, terms):
-    # Returns the singular value decomposition of G, see `GalerkinModes`, and the factors from
-    # scaled to nodal strains of bending and shear, and to the turn of a clamp that gives.
-    arm = manipulator.arm
-    fine = _operators(tuple(arm.breaks.tolist()), terms)[1]
-    bend, shear, root, deflection, rotation = _of_arm(arm, terms)
-    mass, inertia = (np.sqrt(values)[:, np.newaxis] for values in manipulator.inertia(fine))
-    matrix = np.concatenate([mass * manipulator.of_masses(deflection, rotation),
-                             inertia * rotation])
-    return np.linalg.svd(matrix, full_matrices=False), bend, shear, root
+    slope = np.hstack([integrate[:-1] * bend, rule.interpolate_to(fine.nodes) * shear, turn[:-1]])
+    return (rule, fine, np.concatenate([bend, shear, root]),
+            fine.integrate_to(fine.points) @ slope,
+            np.hstack([integrate * bend, np.zeros_like(integrate), turn]))
 
 
 class StaticModes(JoinedModes):
@@ -515,43 +474,34 @@ class StaticModes(JoinedModes):
     """
 
     def __init__(self, manipulator: Manipulator, modes: Modes, loads: Sequence[str]) -> None:
-        arm = manipulator.arm
+        arm, root = manipulator.arm, np.zeros(1)
         rule = Quadrature(arm.breaks, 4 * len(modes) + 40)
-        section = arm.at(rule.nodes)
-        bending, shearing = (np.broadcast_to(stiffness, rule.nodes.shape)[:, np.newaxis]
-                             for stiffness in (section.bending_stiffness, section.shear_stiffness))
+        section, none = arm.at(rule.nodes), np.zeros_like(rule.nodes)
         found = _outboard(manipulator, rule)
         moment, force = np.moveaxis(np.array([found[load] for load in loads]), 0, -1)
-        curvature, shear = moment / bending, force / shearing
-        weights = rule.weights[:, np.newaxis]
-        bent, sheared = modes.curvature(rule.nodes), modes.shear(rule.nodes)
-        stiffness, root = weights * bending, np.zeros(1)
-        for clamp in arm.root:  # whose turn is one more value of the curvature
-            stiffness = np.append(stiffness, [[clamp]], axis=0)
-            curvature = np.append(curvature, rule.interpolate_to(root) @ moment / clamp, axis=0)
-            bent = np.append(bent, modes.rotation(root), axis=0)
+        # Rows are those of `StrainModes`: at the nodes, and of a clamp that gives.
+        clamped = np.repeat(rule.interpolate_to(root), len(arm.root), axis=0) @ moment
+        stiffness = np.concatenate([
+            none + section.bending_stiffness, none + section.shear_stiffness, arm.root])
+        strains = np.concatenate([moment, force, clamped]) / stiffness[:, np.newaxis]
+        own = np.concatenate([modes.curvature(rule.nodes), modes.shear(rule.nodes),
+                              np.repeat(modes.rotation(root), len(arm.root), axis=0)])
+        stiffness = (stiffness * np.concatenate([
+            rule.weights, rule.weights, np.ones(len(arm.root))]))[:, np.newaxis]
         for _ in range(2):  # twice, since cancellation is strong beside many modes
-            share = (bent.T @ (stiffness * curvature)
-                     + sheared.T @ (weights * shearing * shear)) / modes.omega[:, np.newaxis]**2
-            curvature, shear = curvature - bent @ share, shear - sheared @ share
+            share = own.T @ (stiffness * strains) / modes.omega[:, np.newaxis]**2
+            strains = strains - own @ share
         # The residuals of two loads are also uncoupled from each other, and normalised.
-        nodes = len(rule.nodes)
-        residuals = StrainModes(np.zeros(len(loads)), rule, curvature[:nodes], shear,
-                                curvature[nodes:])
+        residuals = StrainModes(np.zeros(len(loads)), rule, strains)
         mass, inertia = manipulator.inertia(rule)
-        deflection, rotation = residuals.deflection(rule.points), residuals.rotation(rule.points)
+        deflection, rotation, *_ = residuals.fields(rule.points)
         deflection = manipulator.of_masses(deflection, rotation)
         kinetic = (deflection.T * mass) @ deflection + (rotation.T * inertia) @ rotation
-        strain = (curvature.T @ (stiffness * curvature)
-                  + shear.T @ (weights * shearing * shear))
-        inverse = np.linalg.inv(np.linalg.cholesky(strain))
+        inverse = np.linalg.inv(np.linalg.cholesky(strains.T @ (stiffness * strains)))
         squares, vectors = np.linalg.eigh(inverse @ kinetic @ inverse.T)
-        omega = 1.0 / np.sqrt(squares[::-1])
         vectors = (inverse.T @ vectors / np.sqrt(squares))[:, ::-1]
-        vectors *= np.sign((rule.interpolate_to(root) @ curvature[:nodes] @ vectors)[0])
-        curvature = curvature @ vectors
-        super().__init__(modes, StrainModes(omega, rule, curvature[:nodes], shear @ vectors,
-                                            curvature[nodes:]))
+        super().__init__(modes, StrainModes(1.0 / np.sqrt(squares[::-1]), rule, _upward(
+            rule, strains @ vectors)))
 
 
 def compliance(manipulator: Manipulator, modes: Modes, pushed: float,
@@ -596,19 +546,6 @@ def _outboard(manipulator, rule):
                        + mass[-1] * manipulator.end_effector_offset, weight)}
 
 
-class _Stretches(Modes):
-    # Modes given by their axial strain at the nodes of a quadrature.
-
-    def __init__(self, omega, strains, stretch):
-        self.omega, self._strains, self._stretch = omega, strains, stretch
-
-    def stretch(self, xi):
-        return self._strains.interpolate_to(xi) @ self._stretch
-
-    def displacement(self, xi):
-        return self._strains.integrate_to(xi) @ self._stretch
-
-
 @functools.lru_cache(maxsize=16)
 def axial_modes(manipulator: Manipulator, count: int, constraints: Constraints) -> Modes:
     """
@@ -644,4 +581,5 @@ def axial_modes(manipulator: Manipulator, count: int, constraints: Constraints) 
     _, singular, rows = np.linalg.svd(matrix @ basis, full_matrices=False)
     stretch = scale[:, np.newaxis] * (basis @ (rows.T / singular))
     stretch *= np.sign(stretch[0])
-    return _Stretches(1.0 / singular, strains, stretch)
+    return StrainModes(1.0 / singular, strains, np.zeros((2 * len(scale), count)),
+                       stretch=stretch)
