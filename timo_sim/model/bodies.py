@@ -349,38 +349,28 @@ def _rule(count):
     return x, weights, to_coefficients
 
 
-@functools.lru_cache(maxsize=64)
-def _integrals(spans, xi):
-    # The matrix of `Quadrature.integrate_to`; cached, since arms that differ only in section or
-    # end effector share it.
-    rows = []
-    for start, stop, count in spans:
-        # A clipped point left of the span gives 0, one right of it the integral over the span.
-        x = np.clip(2.0 * (np.array(xi) - start) / (stop - start) - 1.0, -1.0, 1.0)
-        rows.append(0.5 * (stop - start) * legendre_values(x, count)[1] @ _rule(count)[2])
-    matrix = np.hstack(rows)
-    matrix.flags.writeable = False
-    return matrix
-
-
-@functools.lru_cache(maxsize=64)
-def _values(spans, xi):
-    # The matrix of `Quadrature.interpolate_to`.
-    points, rows, past = np.array(xi), [], np.zeros(len(xi), dtype=bool)
+@functools.lru_cache(maxsize=128)
+def _matrices(spans, xi):
+    # From nodal values to integrals from 0 to points, and to values there; cached, since arms that
+    # differ only in section or end effector share them.
+    points, past, integrate, interpolate = np.array(xi), np.zeros(len(xi), dtype=bool), [], []
     for start, stop, count in spans:
         x = 2.0 * (points - start) / (stop - start) - 1.0
         here = (x <= 1.0) & ~past if stop < spans[-1][1] else ~past
-        values, _ = legendre_values(np.where(here, x, 0.0), count)
-        rows.append(here[:, np.newaxis] * values @ _rule(count)[2])
+        # A clipped point left of the span gives 0, one right of it the integral over the span.
+        values, integrals = legendre_values(np.clip(x, -1.0, 1.0), count)
+        integrate.append(0.5 * (stop - start) * integrals @ _rule(count)[2])
+        interpolate.append(here[:, np.newaxis] * values @ _rule(count)[2])
         past |= here
-    matrix = np.hstack(rows)
-    matrix.flags.writeable = False
-    return matrix
+    matrices = np.hstack(integrate), np.hstack(interpolate)
+    for matrix in matrices:
+        matrix.flags.writeable = False
+    return matrices
 
 
 @functools.lru_cache(maxsize=64)
 def _spanned(ends, count, extra):
-    # Spans, nodes, weights and points of a Quadrature; cached as `_integrals` are.
+    # Spans, nodes, weights and points of a Quadrature; cached as `_matrices` are.
     shares = np.diff(ends) / ends[-1]
     # 1e-9: round-off must not raise a share that is a whole number.
     counts = np.maximum(np.ceil(count * shares - 1e-9).astype(int), _LEAST_NODES) + extra
@@ -409,8 +399,8 @@ class Quadrature:
 
     def integrate_to(self, xi: ArrayLike) -> np.ndarray:
         """Return the matrix from nodal values to integrals from 0 to points, shape (p, n) [m]."""
-        return _integrals(self._spans, tuple(np.asarray(xi, dtype=float).tolist()))
+        return _matrices(self._spans, tuple(np.asarray(xi, dtype=float).tolist()))[0]
 
     def interpolate_to(self, xi: ArrayLike) -> np.ndarray:
         """Return the matrix from nodal values to values at the given points, shape (p, n)."""
-        return _values(self._spans, tuple(np.asarray(xi, dtype=float).tolist()))
+        return _matrices(self._spans, tuple(np.asarray(xi, dtype=float).tolist()))[1]
