@@ -165,7 +165,7 @@ def _set_speed_of_duals(tables, state, load, numbers, work):
         for j in range(len(work.g1)):
             work.g1[j], work.g2[j] = _momenta_of_images(tables, work, j)
         return
-    floats, kernel = without_derivatives(tables), tables.kernel
+    floats = without_derivatives(tables)
     alone, mass, inverse = (local_arrays(Work, floats), local((floats.rotary, floats.rotary)),
                             local((floats.rotary,)))
     c1, c2, g1, g2, speed = work.c1, work.c2, work.g1, work.g2, work.speed
@@ -187,27 +187,13 @@ def _set_speed_of_duals(tables, state, load, numbers, work):
     a, b = local((tables.to_centre,)), local((tables.to_centre,))
     for j in range(nodes):
         a[j], b[j] = 0.0, 0.0
-        for i in range(count):
-            a[j] += alone.speed[i] * c1[i, j]
-            b[j] += alone.speed[i] * c2[i, j]
-    for j in range(nodes):
-        g1[j], g2[j] = 0.0, 0.0
-        for k in range(nodes):
-            g1[j] += kernel[0, k, j] * a[k]
-            g2[j] += kernel[len(kernel) - 1, k, j] * b[k]
+    _add_slope_rates(alone.speed, 0, c1, c2, a, b)
+    _set_forces_of_slopes(tables, a, b, g1, g2)
     speed[0] = load[SPEED]
     for i in range(driven, count):
-        speed[i] = state[momenta + i]
-        for j in range(count):
-            speed[i] -= tables.rotary[i, j] * alone.speed[j]
-        for k in range(nodes):
-            speed[i] -= c1[i, k] * g1[k] + c2[i, k] * g2[k]
-        for k in range(driven, i):
-            speed[i] -= mass[i, k] * speed[k]
-    for i in range(count - 1, driven - 1, -1):
-        speed[i] *= inverse[i]
-        for k in range(i + 1, count):
-            speed[i] -= mass[k, i] * speed[k]
+        speed[i] = state[momenta + i] - _momentum(tables, alone.speed, 0, work, i)
+        mass[i, i] = inverse[i]
+    _solve(tables, mass, driven, speed)
     for i in range(driven, count):
         for j in range(nodes):
             g1[j] += alone.image_1[i, j] * speed[i]
@@ -522,82 +508,6 @@ def _observe(tables, state, load, out):
         out[half + axis] = carrier_speed(tables, state, k, derivative, work.speed)
 
 
-@strict
-def _set_momenta(tables, motion, numbers, work, out):
-    """Write P (T27) and M q' = Xi q' + C1 K a' + C2 K b'; set slopes."""
-    kernel, speed = as_vectors(tables.kernel), work.speed
-    a, b, g1, g2 = work.image_1[0], work.image_2[0], work.g1, work.g2
-    count, nodes = work.c1.shape
-    half = len(motion) // 2
-    for i in range(count):
-        work.coordinate[i], speed[i] = motion[2 + i], motion[half + 2 + i]
-    _set_slopes(tables, work)
-    for j in range(nodes):
-        a[j], b[j] = 0.0 * work.a[j], 0.0 * work.b[j]
-        for i in range(count):
-            a[j] += speed[i] * work.c1[i, j]
-            b[j] += speed[i] * work.c2[i, j]
-    for j in range(nodes):
-        total_1, total_2 = 0.0, 0.0
-        for k in range(kernel.shape[1]):
-            total_1 += numbers.image_1[0, k] * kernel[0, k, j]
-            total_2 += numbers.image_2[0, k] * kernel[len(kernel) - 1, k, j]
-        g1[j], g2[j] = total_1, total_2
-    out[0], out[1] = 0.0, 0.0
-    for k in range(len(tables.axes)):
-        axis = tables.axes[k]
-        out[axis] = tables.mass * (
-            motion[half + axis] + _of_centre(tables, a if axis == 0 else b))
-    for i in range(count):
-        product = 0.0
-        for j in range(nodes):
-            product += work.c1[i, j] * g1[j] + work.c2[i, j] * g2[j]
-        out[2 + i] = sum_of(product, tables.to_centre)
-        for j in range(count):
-            out[2 + i] += tables.rotary[i, j] * speed[j]
-
-
-@strict
-def _of_centre(tables, slope):
-    """Return the mass centre's distance from the carrier by slopes, its speed by their rates."""
-    to_centre, total = as_vectors(tables.to_centre), 0.0
-    for j in range(len(to_centre)):
-        total += to_centre[j] * slope[j]
-    return sum_of(total, tables.to_centre)
-
-
-@functions.state_of.of(Tables, fast=False)
-def _state_of(tables, motion, out):
-    """Write mass centre (T25) and coordinates, then their momenta, or rates of the last (T35)."""
-    numbers, momenta = local_arrays(Work, tables), local((motion,))
-    work = as_vectors(numbers)
-    _set_momenta(tables, motion, numbers, work, momenta)
-    count, axes, half = len(tables.rotation), len(tables.axes), half_length(tables)
-    driven = count - len(tables.straight)
-    for k in range(axes):
-        axis = tables.axes[k]
-        out[k] = motion[axis] + _of_centre(tables, work.a if axis == 0 else work.b)
-        out[half + k] = momenta[axis]
-    for i in range(driven, count):
-        place = axes + i - driven
-        out[place], out[half + place] = motion[2 + i], momenta[2 + i]
-        if i >= count - len(tables.linear_rate):
-            out[half + place] = work.speed[i]
-
-
-@functions.momenta.of(Tables, fast=False)
-def _momenta(tables, motion, out):
-    """Write momenta; those about the mass centre get the share of P."""
-    numbers = local_arrays(Work, tables)
-    work = as_vectors(numbers)
-    _set_momenta(tables, motion, numbers, work, out)
-    for k in range(len(tables.axes)):
-        axis = tables.axes[k]
-        derivative = work.c1 if axis == 0 else work.c2
-        for i in range(len(tables.rotation)):
-            out[2 + i] += out[axis] * _of_centre(tables, derivative[i])
-
-
 @functions.joint_place.of(Tables, merge=True)
 def _joint_place(tables, state, load, joint):
     """Return the place of a joint; the carrier's is by the mass centre (T25)."""
@@ -616,11 +526,8 @@ def _joint_place(tables, state, load, joint):
             phi, gamma, strain = _fields(tables, state, axes - driven, driven, j)
             if driven:
                 phi += load[ANGLE] * rotation[0, j]
-            sine, cosine = sincos(phi)
-            if joint == 0:
-                centre += to_centre[j] * ((1.0 + strain) * cosine - gamma * sine)
-            else:
-                centre += to_centre[j] * ((1.0 + strain) * sine + gamma * cosine)
+            _, _, a, b = _slope(phi, gamma, strain)
+            centre += to_centre[j] * (a if joint == 0 else b)
         for k in range(axes):
             if tables.axes[k] == joint:
                 found = state[k] - sum_of(centre, tables.to_centre)
@@ -647,19 +554,30 @@ def _fields(tables, values, begin, first, j):
     return phi, gamma, strain
 
 
+@inner
+def _slope(phi, gamma, strain):
+    """Return sine and cosine of phi, and the slope (a, b) (T23), (T34)."""
+    sine, cosine = sincos(phi)
+    return (sine, cosine, cosine - gamma * sine + strain * cosine,
+            sine + gamma * cosine + strain * sine)
+
+
+@inner
+def _integral(tables, weights, motion):
+    """Return the position of a point from the shaft, the integral of the slopes up to it."""
+    to_point, along, across = as_vectors(weights), 0.0, 0.0
+    for j in range(len(to_point)):
+        phi, gamma, strain = _fields(tables, motion, 2, 1, j)
+        _, _, a, b = _slope(phi, gamma, strain)
+        along += a * to_point[j]
+        across += b * to_point[j]
+    return sum_of(along, tables.to_tip), sum_of(across, tables.to_tip)
+
+
 @functions.tip.of(Tables)
 def _tip(tables, motion, out):
-    """Write the tip's position, the integral of the slopes, and rotation from the shaft."""
-    to_tip = as_vectors(tables.to_tip)
-    along = 0.0
-    across = 0.0
-    for j in range(len(to_tip)):
-        phi, gamma, strain = _fields(tables, motion, 2, 1, j)
-        sine, cosine = sincos(phi)
-        along += (cosine - gamma * sine + strain * cosine) * to_tip[j]
-        across += (sine + gamma * cosine + strain * sine) * to_tip[j]
-    out[0] = sum_of(along, tables.to_tip)
-    out[1] = sum_of(across, tables.to_tip)
+    """Write the tip's position, and its rotation from the shaft."""
+    out[0], out[1] = _integral(tables, tables.to_tip, motion)
     out[2] = 0.0
     for i in range(1, len(tables.rotation)):
         out[2] += motion[2 + i] * tables.tip_rotation[i]
@@ -667,17 +585,8 @@ def _tip(tables, motion, out):
 
 @functions.place_point.of(Tables)
 def _place_point(tables, outline, number, motion, out):
-    """Write the position of a point, the integral of the slopes up to it."""
-    to_point = as_vectors(outline.integral)
-    along = 0.0
-    across = 0.0
-    for j in range(to_point.shape[1]):
-        phi, gamma, strain = _fields(tables, motion, 2, 1, j)
-        sine, cosine = sincos(phi)
-        along += (cosine - gamma * sine + strain * cosine) * to_point[number, j]
-        across += (sine + gamma * cosine + strain * sine) * to_point[number, j]
-    out[0] = sum_of(along, tables.to_tip)
-    out[1] = sum_of(across, tables.to_tip)
+    """Write the position of a point."""
+    out[0], out[1] = _integral(tables, outline.integral[number], motion)
 
 
 @functions.tip_rate.of(Tables)
@@ -688,10 +597,8 @@ def _tip_rate(tables, motion, out):
     across = 0.0
     for j in range(len(to_tip)):
         phi, gamma, strain = _fields(tables, motion, 2, 1, j)
+        sine, cosine, a, b = _slope(phi, gamma, strain)
         turning, shearing, stretching = _fields(tables, motion, rates + 2, 1, j)
-        sine, cosine = sincos(phi)
-        a = cosine - gamma * sine + strain * cosine
-        b = sine + gamma * cosine + strain * sine
         along += (cosine * stretching - b * turning - sine * shearing) * to_tip[j]
         across += (a * turning + cosine * shearing + sine * stretching) * to_tip[j]
     out[0] = sum_of(along, tables.to_tip)
@@ -701,113 +608,146 @@ def _tip_rate(tables, motion, out):
         out[2] += motion[rates + 2 + i] * tables.tip_rotation[i]
 
 
-# Forces of constraints (T44) and energy, outside the step.
+# Momenta, forces of constraints (T44) and energy, outside the step. What momenta are by rates and
+# slopes' rates a', b', forces are by accelerations and a'', b''.
 
-class Slopes(NamedTuple):
-    """Work arrays of the slopes (T23), their rates and second derivatives at the nodes."""
-
-    a: Annotated[np.ndarray, 'padded_nodes']
-    b: Annotated[np.ndarray, 'padded_nodes']
-    rate_a: Annotated[np.ndarray, 'padded_nodes']
-    rate_b: Annotated[np.ndarray, 'padded_nodes']
-    second_a: Annotated[np.ndarray, 'padded_nodes']
-    second_b: Annotated[np.ndarray, 'padded_nodes']
-
-
-@inner
-def _set_slope_rates(tables, motion, accelerations, slopes):
-    a, b, rate_a, rate_b, second_a, second_b = as_vectors(slopes)
-    rates = len(motion) // 2
-    for j in range(len(a)):
-        phi, gamma, strain = _fields(tables, motion, 2, 0, j)
-        turning, shearing, stretching = _fields(tables, motion, rates + 2, 0, j)
-        turn, shearing_2, stretching_2 = _fields(tables, accelerations, 2, 0, j)
-        sine, cosine = sincos(phi)
-        a[j] = cosine - gamma * sine + strain * cosine
-        b[j] = sine + gamma * cosine + strain * sine
-        rate_a[j] = cosine * stretching - b[j] * turning - sine * shearing
-        rate_b[j] = a[j] * turning + cosine * shearing + sine * stretching
-        second_a[j] = (cosine * stretching_2 - b[j] * turn - sine * shearing_2 - turning * (
-            a[j] * turning + 2.0 * (cosine * shearing + sine * stretching)))
-        second_b[j] = (a[j] * turn + cosine * shearing_2 + sine * stretching_2 - turning * (
-            b[j] * turning + 2.0 * (sine * shearing - cosine * stretching)))
+@strict
+def _add_slope_rates(rates, begin, c1, c2, a, b):
+    """Add to slopes' rates what those of coordinates make of them, from rates[begin] on."""
+    count, nodes = c1.shape
+    for j in range(nodes):
+        for i in range(count):
+            a[j] += rates[begin + i] * c1[i, j]
+            b[j] += rates[begin + i] * c2[i, j]
 
 
-@inner
-def _about_root(tables, axis, left, right):
-    """Return left.K.right with the kernel K of the masses about the root, for x or y (T30)."""
-    kernel, vectors = as_vectors(tables.kernel), as_vectors(right)
-    number = axis if len(kernel) == 2 else 0
-    products = 0.0
-    for j in range(len(vectors)):
-        image = 0.0
-        for k in range(kernel.shape[1]):  # K is symmetric
-            image += left[k] * kernel[number, k, j]
-        products += image * vectors[j]
-    total = sum_of(products, right)
-    for k in range(len(tables.axes)):
-        if tables.axes[k] == axis:  # the kernel in the tables is about the mass centre
-            total += tables.mass * _dot(tables.to_centre, left) * _dot(tables.to_centre, right)
+@strict
+def _set_forces_of_slopes(tables, a, b, g1, g2):
+    """Set (g1, g2) = K (a, b), vectors of single numbers."""
+    kernel = as_vectors(tables.kernel)
+    for j in range(len(g1)):
+        total_1, total_2 = 0.0, 0.0
+        for k in range(kernel.shape[1]):
+            total_1 += a[k] * kernel[0, k, j]
+            total_2 += b[k] * kernel[len(kernel) - 1, k, j]
+        g1[j], g2[j] = total_1, total_2
+
+
+@strict
+def _momentum(tables, rates, begin, work, i):
+    """Return the i-th of M q' = Xi q' + C1 g1 + C2 g2, with (g1, g2) = K (a', b')."""
+    product = 0.0
+    for j in range(len(work.g1)):
+        product += work.c1[i, j] * work.g1[j] + work.c2[i, j] * work.g2[j]
+    total = sum_of(product, tables.to_centre)
+    for j in range(len(tables.rotary)):
+        total += tables.rotary[i, j] * rates[begin + j]
     return total
 
 
-@inner
+@strict
 def _dot(left, right):
-    lefts, rights = as_vectors(left), as_vectors(right)
-    total = 0.0
+    lefts, rights, total = as_vectors(left), as_vectors(right), 0.0
     for j in range(len(lefts)):
         total += lefts[j] * rights[j]
     return sum_of(total, left)
 
 
+@strict
+def _set_spins(tables, motion, rates, begin, numbers, work, out):
+    """
+    Write P (T27) and M q' of a motion, whose rates are those from rates[begin] on; set slopes.
+
+    With accelerations in their place, from rates[0] on, these are the forces that those need.
+    """
+    a, b, half = work.image_1[0], work.image_2[0], len(motion) // 2
+    for i in range(len(work.speed)):
+        work.coordinate[i], work.speed[i] = motion[2 + i], motion[half + 2 + i]
+    _set_slopes(tables, work)
+    for j in range(len(a)):
+        a[j], b[j], _ = _second_slopes(tables, work, j)
+        if begin != 0:
+            a[j], b[j] = 0.0 * work.a[j], 0.0 * work.b[j]
+    _add_slope_rates(rates, begin + 2, work.c1, work.c2, a, b)
+    _set_forces_of_slopes(tables, numbers.image_1[0], numbers.image_2[0], work.g1, work.g2)
+    out[0] = tables.mass * (rates[begin] + _dot(tables.to_centre, a))
+    out[1] = tables.mass * (rates[begin + 1] + _dot(tables.to_centre, b))
+    for i in range(len(tables.rotary)):
+        out[2 + i] = _momentum(tables, rates, begin + 2, work, i)
+
+
+@strict
+def _set_momenta(tables, motion, rates, begin, numbers, work, out):
+    """
+    Do so, and add the share of P that momenta about the shaft have of it.
+
+    Along axes on which the carrier is held that is the share of m_t x': the kernel is that about
+    the root (T30).
+    """
+    _set_spins(tables, motion, rates, begin, numbers, work, out)
+    for axis in range(2):
+        momentum = tables.mass * rates[begin + axis]
+        for k in range(len(tables.axes)):
+            if tables.axes[k] == axis:
+                momentum = out[axis]
+        derivative = work.c1 if axis == 0 else work.c2
+        for i in range(len(tables.rotation)):
+            out[2 + i] += momentum * _dot(tables.to_centre, derivative[i])
+
+
+@functions.state_of.of(Tables, fast=False)
+def _state_of(tables, motion, out):
+    """Write mass centre (T25) and coordinates, then their momenta, or rates of the last (T35)."""
+    numbers, momenta = local_arrays(Work, tables), local((motion,))
+    work = as_vectors(numbers)
+    _set_spins(tables, motion, motion, len(motion) // 2, numbers, work, momenta)
+    count, axes, half = len(tables.rotation), len(tables.axes), half_length(tables)
+    driven = count - len(tables.straight)
+    for k in range(axes):
+        axis = tables.axes[k]
+        out[k] = motion[axis] + _dot(tables.to_centre, work.a if axis == 0 else work.b)
+        out[half + k] = momenta[axis]
+    for i in range(driven, count):
+        place = axes + i - driven
+        out[place], out[half + place] = motion[2 + i], momenta[2 + i]
+        if i >= count - len(tables.linear_rate):
+            out[half + place] = work.speed[i]
+
+
+@functions.momenta.of(Tables, fast=False)
+def _momenta(tables, motion, out):
+    """Write momenta, those of coordinates about the shaft."""
+    numbers = local_arrays(Work, tables)
+    _set_momenta(tables, motion, motion, len(motion) // 2, numbers, as_vectors(numbers), out)
+
+
 @functions.effort.of(Tables)
 def _effort(tables, motion, accelerations, load, out):
     """Write the rates of momentum and spin less those by loads on tip and arm."""
-    mass, to_centre = tables.mass, tables.to_centre
-    slopes = local_arrays(Slopes, tables)
-    _set_slope_rates(tables, motion, accelerations, slopes)
-    a, b, _, _, second_a, second_b = slopes
+    numbers, needed = local_arrays(Work, tables), local((motion,))
+    work = as_vectors(numbers)
+    _set_momenta(tables, motion, accelerations, 0, numbers, work, needed)
     sine, cosine = sincos(motion[2])
     tip_x = load[TIP_X] + cosine * load[TIP_I] - sine * load[TIP_II]
     tip_y = load[TIP_Y] + sine * load[TIP_I] + cosine * load[TIP_II]
-    out[0] = mass * (accelerations[0] + _dot(to_centre, second_a)) - tip_x
-    out[1] = mass * (accelerations[1] + _dot(to_centre, second_b)) - tip_y
-    centre_x, centre_y = _dot(to_centre, a), _dot(to_centre, b)
-    out[2] = (mass * (centre_x * accelerations[1] - centre_y * accelerations[0])
-              + _about_root(tables, 1, a, second_b) - _about_root(tables, 0, b, second_a)
-              - _dot(tables.to_tip, a) * tip_y + _dot(tables.to_tip, b) * tip_x
+    out[0], out[1] = needed[0] - tip_x, needed[1] - tip_y
+    out[2] = (needed[2] - _dot(tables.to_tip, work.a) * tip_y + _dot(tables.to_tip, work.b) * tip_x
               - load[TIP_TORQUE])
-    for i in range(len(tables.rotary)):
-        out[2] += tables.rotary[0, i] * accelerations[2 + i]
     for k in range(len(tables.push)):
         out[0] -= load[PUSH_X]
         out[1] -= load[PUSH_Y]
-        out[2] -= _dot(tables.push[k], a) * load[PUSH_Y] - _dot(tables.push[k], b) * load[PUSH_X]
+        out[2] -= (_dot(tables.push[k], work.a) * load[PUSH_Y]
+                   - _dot(tables.push[k], work.b) * load[PUSH_X])
 
 
 @functions.energy.of(Tables)
 def _energy(tables, motion, gravity):
-    mass, to_centre = tables.mass, tables.to_centre
-    slopes = local_arrays(Slopes, tables)
-    _set_slope_rates(tables, motion, motion, slopes)  # second derivatives are not used
-    a, b, rate_a, rate_b, _, _ = slopes
-    rates, count = len(motion) // 2, len(tables.rotary)
-    x, y = motion[rates], motion[rates + 1]
-    twice = (mass * (x * x + y * y)
-             + 2.0 * mass * (x * _dot(to_centre, rate_a) + y * _dot(to_centre, rate_b))
-             + _about_root(tables, 0, rate_a, rate_a) + _about_root(tables, 1, rate_b, rate_b))
-    for i in range(count):
-        for j in range(count):
-            twice += (motion[rates + 2 + i] * tables.rotary[i, j] * motion[rates + 2 + j])
-        twice += tables.stiffness[i] * motion[2 + i] * motion[2 + i]
-    for n in range(len(tables.spring)):
-        rest = tables.spring[n, 1]
-        twice += tables.spring[n, 0] * rest * (rest - 2.0 * motion[2])
-    for n in range(len(tables.gear)):  # the spring of a gear is relaxed within its play
-        place = _gear_place(tables)
-        twice -= functions.loose_energy(tables, n, tables.stiffness[place], motion[2 + place])
-    return 0.5 * twice - mass * (gravity[0] * (motion[0] + _dot(to_centre, a))
-                                 + gravity[1] * (motion[1] + _dot(to_centre, b)))
+    numbers, momenta = local_arrays(Work, tables), local((motion,))
+    work = as_vectors(numbers)
+    _set_momenta(tables, motion, motion, len(motion) // 2, numbers, work, momenta)
+    x, y = motion[0] + _dot(tables.to_centre, work.a), motion[1] + _dot(tables.to_centre, work.b)
+    return (functions.energy_of_momenta(tables, len(tables.stretch), motion, momenta)
+            - tables.mass * (gravity[0] * x + gravity[1] * y))
 
 
 # Axial strain (T34); these functions do nothing for an arm that does not stretch.
@@ -855,24 +795,15 @@ def _take_rates_of_state(tables, state, mass, inverse, work):
 
 
 @inner
-def _set_second_slopes(tables, work, added, a_2, b_2):
-    """Set the addition to A_j of (T29), and a_2, b_2 of (T35): slopes'' where q'' = 0."""
-    rotation, shear = as_vectors(tables.rotation), as_vectors(tables.shear)
-    stretch, axial = as_vectors(tables.stretch), len(tables.rotation) - len(tables.stretch)
-    cosine, sine, speed = work.cosine, work.sine, work.speed
-    for j in range(len(added)):
-        g_across, slope_1, slope_2, turning, shearing, stretching = 0.0, 0.0, 0.0, 0.0, 0.0, 0.0
-        for i in range(len(speed)):
-            g_across += speed[i] * (cosine[j] * work.image_2[i, j] - sine[j] * work.image_1[i, j])
-            slope_1 += speed[i] * work.c1[i, j]
-            slope_2 += speed[i] * work.c2[i, j]
-            turning += speed[i] * rotation[i, j]
-            shearing += speed[i] * shear[i, j]
-        for i in range(axial, len(speed)):
-            stretching += speed[i] * stretch[i - axial, j]
-        added[j] = stretching * g_across
-        a_2[j] = -turning * (slope_2 + cosine[j] * shearing + sine[j] * stretching)
-        b_2[j] = turning * (slope_1 - sine[j] * shearing + cosine[j] * stretching)
+def _second_slopes(tables, work, j):
+    """Return a_2, b_2 of (T35), slopes'' where q'' = 0, and the axial strain's rate at nodes j."""
+    cosine, sine, slope_1, slope_2 = work.cosine[j], work.sine[j], 0.0, 0.0
+    turning, shearing, stretching = _fields(tables, work.speed, 0, 0, j)
+    for i in range(len(work.speed)):
+        slope_1 += work.speed[i] * work.c1[i, j]
+        slope_2 += work.speed[i] * work.c2[i, j]
+    return (-turning * (slope_2 + cosine * shearing + sine * stretching),
+            turning * (slope_1 - sine * shearing + cosine * stretching), stretching)
 
 
 @inner
@@ -888,9 +819,13 @@ def _add_rates_of_rates(tables, load, torque, on_rotor, forces, work, out):
     driven, momenta = count - len(tables.straight), 2 * half_length(tables) - count
     rates_from = count - len(tables.linear_rate)
     push_x, push_y, tip_x, tip_y = forces
+    # What is added to A_j of (T29), then slopes'' where q'' = 0.
     added, a_2, b_2 = (as_vectors(local((across,))), as_vectors(local((across,))),
                        as_vectors(local((across,))))
-    _set_second_slopes(tables, work, added, a_2, b_2)
+    for j in range(nodes):
+        a_2[j], b_2[j], stretching = _second_slopes(tables, work, j)
+        g1, g2 = _momenta_of_slopes(tables, work, j)
+        added[j] = stretching * (work.cosine[j] * g2 - work.sine[j] * g1)
     # The right-hand side of (T35), all loads and a given q_0'' included.
     force = local((tables.rotation,))
     for i in range(driven, count):
@@ -917,7 +852,7 @@ def _add_rates_of_rates(tables, load, torque, on_rotor, forces, work, out):
         place = _gear_place(tables)
         force[place] += (tables.gear[n, PER_COORDINATE] * on_rotor
                          + _missing_contact(tables, n, work, place))
-    _solve_for_last(tables, factors, force)
+    _solve(tables, factors, rates_from, force)
     for i in range(rates_from, count):
         total = force[i]
         for j in range(rates_from, count):
@@ -927,17 +862,16 @@ def _add_rates_of_rates(tables, load, torque, on_rotor, forces, work, out):
 
 
 @inner
-def _solve_for_last(tables, factors, force):
-    """Solve M q'' = force for the last q'', in place, with M = L D L^T of `_set_speed`."""
-    count = len(force)
-    driven = count - len(tables.straight)
-    for k in range(driven, count):
-        for i in range(k + 1, count):
-            force[i] -= factors[i, k] * force[k]
-    for k in range(count - 1, count - len(tables.linear_rate) - 1, -1):
-        force[k] *= factors[k, k]
-        for i in range(k + 1, count):
-            force[k] -= factors[i, k] * force[i]
+def _solve(tables, factors, first, vector):
+    """Solve M x = vector for x from a first one on, in place; `factors` are L and 1/D of M."""
+    count = len(vector)
+    for i in range(count - len(tables.straight), count):
+        for k in range(count - len(tables.straight), i):
+            vector[i] -= factors[i, k] * vector[k]
+    for i in range(count - 1, first - 1, -1):
+        vector[i] *= factors[i, i]
+        for k in range(i + 1, count):
+            vector[i] -= factors[k, i] * vector[k]
 
 
 # Linear parts by the angle and speed of the shaft, where one axis of the carrier is held (section

@@ -44,7 +44,7 @@ def state_of(tables, motion, out):
 
 @declare
 def momenta(tables, motion, out):
-    """Write the momenta of all coordinates, (3 + N,); of those that are held anything."""
+    """Write the momenta of all coordinates, (3 + N,)."""
 
 
 @declare
@@ -201,6 +201,24 @@ def effort(tables, motion, accelerations, load, out):
 @declare
 def energy(tables, motion, gravity):
     """Return the energy [J], see `Formulation.energy`."""
+
+
+@inner
+def energy_of_momenta(tables, axial, motion, momenta):
+    """Return kinetic and strain energy [J]; the gear's coordinate precedes the axial ones."""
+    half, modes = len(motion) // 2, len(motion) // 2 - 3
+    first, twice = len(tables.stiffness) - modes, 0.0
+    for i in range(half):
+        twice += motion[half + i] * momenta[i]
+    for n in range(modes):
+        twice += tables.stiffness[first + n] * motion[3 + n] * motion[3 + n]
+    for n in range(len(tables.spring)):
+        turn = motion[2] - tables.spring[n, 1]
+        twice += tables.spring[n, 0] * turn * turn
+    for n in range(len(tables.gear)):  # the spring of a gear is relaxed within its play
+        place = modes - axial - 1
+        twice -= loose_energy(tables, n, tables.stiffness[first + place], motion[3 + place])
+    return 0.5 * twice
 
 
 class Root(NamedTuple):

@@ -43,10 +43,10 @@ from typing import Annotated, Any, NamedTuple
 
 import numpy as np
 
-from timo_sim.compiled.functions import inner, local, some
+from timo_sim.compiled.functions import inner, local
 from timo_sim.model import functions
 from timo_sim.model.formulation import Formulation, Points
-from timo_sim.model.functions import DRAG, PER_COORDINATE, sincos
+from timo_sim.model.functions import copy, DRAG, PER_COORDINATE, sincos
 from timo_sim.model.layout import (
     ACCELERATION, ACCELERATION_X, ACCELERATION_Y, ANGLE, FORCE_I, FORCE_II, FORCE_X, FORCE_Y,
     PUSH_X, PUSH_Y, rotate, SHAFT_FRICTION, SPEED, TIP_I, TIP_II, TIP_TORQUE, TIP_X, TIP_Y)
@@ -177,8 +177,8 @@ class Newton(Formulation):
                 [self.manipulator.carrier_friction, self.manipulator.shaft_friction]),
             coulomb=np.array(self.manipulator.coulomb),
             motor_limit=np.reshape(self.manipulator.motor_limit, (-1, 2)), axes=self.axes,
-            held_position=self.held_position, length=self.points.lever[-1],
-            tip_deflection=deflection[:, -1],
+            places=self.free_places, held_position=self.held_position,
+            length=self.points.lever[-1], tip_deflection=deflection[:, -1],
             tip_rotation=rotation[:, -1], gravity=self.gravity,
             push_place=self.push_point.lever[0] if self.push_point else 0.0,
             push_deflection=self.push_point.deflection.T if self.push_point else (
@@ -265,6 +265,7 @@ class Tables(NamedTuple):
     coulomb: Annotated[np.ndarray, 3, 3]                   # `Manipulator.coulomb`
     motor_limit: Annotated[np.ndarray, 'limits', 2]        # `Manipulator.motor_limit`
     axes: Annotated[np.ndarray, int, 'axes']               # axes along which the carrier is free
+    places: Annotated[np.ndarray, int, 'state']            # `Formulation.free_places`
     held_position: Annotated[np.ndarray, 2]                # of a carrier that is held
     length: float        # r_h + l
     tip_deflection: Annotated[np.ndarray, 'modes']         # W_n at the tip
@@ -375,26 +376,24 @@ def _set_z_0(tables, q, qdot, theta_rate, load, tip_2, push_2, moment, force, z)
 
 
 @inner
-def _free_axis(tables, cosine, sine, tilt):
-    """Return components I, II of the one axis that is free, and the inertia along it."""
-    along, across = (cosine, -sine) if tables.axes[0] == 0 else (sine, cosine)
-    inertia = (tables.base_mass + along * along * tables.arm_mass + along * across * tilt
-               + across * across * tables.mass_across)
-    return along, across, inertia
-
-
-@inner
 def _set_carrier(tables, state, load, cosine, sine, axial, shear, tilt, out):
-    """Write the carrier's acceleration in world axes, (T16); return beta."""
-    axes, half = tables.axes, _half(tables)
+    """
+    Write the carrier's acceleration in world axes, (T16); return beta.
+
+    Forces are those at alpha = beta = 0. In a freely falling frame gravity vanishes, see
+    doc/theory.md, section 10: beta is seen there, and a held carrier accelerates by a - g.
+    """
+    axes, half, gravity = tables.axes, _half(tables), tables.gravity
     force_x = load[FORCE_X] + cosine * load[FORCE_I] - sine * load[FORCE_II]
     force_y = load[FORCE_Y] + sine * load[FORCE_I] + cosine * load[FORCE_II]
+    held_x, held_y = load[ACCELERATION_X] - gravity[0], load[ACCELERATION_Y] - gravity[1]
     for k in range(len(axes)):
         if axes[k] == 0:
             force_x -= _resistance(tables, 0, state[half + k])
+            held_x = 0.0
         else:
             force_y -= _resistance(tables, 0, state[half + k])
-    beta = 0.0
+            held_y = 0.0
     if len(axes) == 2:
         force_1 = cosine * force_x + sine * force_y
         force_2 = cosine * force_y - sine * force_x
@@ -402,40 +401,19 @@ def _set_carrier(tables, state, load, cosine, sine, axial, shear, tilt, out):
         alpha = (force_1 + axial - tilt * beta) / (tables.base_mass + tables.arm_mass)
         out[half] = cosine * alpha - sine * beta
         out[half + 1] = sine * alpha + cosine * beta
-    elif len(axes) == 1:
-        along, across, inertia = _free_axis(tables, cosine, sine, tilt)
-        push = force_x if axes[0] == 0 else force_y
-        out[half] = (push + along * axial + across * shear) / inertia
-        beta = across * out[half]
-    return beta
-
-
-@inner
-def _add_gravity(tables, load, cosine, sine, tilt, out):
-    """
-    Add what gravity does, see doc/theory.md, section 10, and a base that accelerates.
-
-    In a freely falling frame gravity vanishes and a held carrier accelerates by a - g, with
-    components alpha and beta.
-    """
-    axes, half, gravity = tables.axes, _half(tables), tables.gravity
-    held_x, held_y = 0.0, 0.0
-    if len(axes) == 0 or len(axes) == 1 and axes[0] == 1:
-        held_x = load[ACCELERATION_X] - gravity[0]
-    if len(axes) == 0 or len(axes) == 1 and axes[0] == 0:
-        held_y = load[ACCELERATION_Y] - gravity[1]
-    alpha, beta = cosine * held_x + sine * held_y, cosine * held_y - sine * held_x
+    else:
+        alpha, beta = cosine * held_x + sine * held_y, cosine * held_y - sine * held_x
     if len(axes) == 1:
-        along, across, inertia = _free_axis(tables, cosine, sine, tilt)
-        pulled = -(along * (tables.arm_mass * alpha + tilt * beta)
-                   + across * tables.mass_across * beta) / inertia
-        out[half] += pulled
-        beta += across * pulled
+        along, across = (cosine, -sine) if axes[0] == 0 else (sine, cosine)
+        inertia = (tables.base_mass + along * along * tables.arm_mass + along * across * tilt
+                   + across * across * tables.mass_across)
+        push = force_x if axes[0] == 0 else force_y
+        out[half] = (push + along * (axial - tables.arm_mass * alpha - tilt * beta)
+                     + across * (shear - tables.mass_across * beta)) / inertia
+        beta += across * out[half]
     for k in range(len(axes)):
         out[half + k] += gravity[axes[k]]
-    free = len(tables.inverse)
-    for i in range(free):
-        out[2 * half - free + i] -= tables.response[len(tables.response) - free + i] * beta
+    return beta
 
 
 @functions.rate.of(Tables, merge=True)
@@ -489,8 +467,6 @@ def _rate(tables, state, load, out):
     beta -= tables.linear_beta * linear_shear
     for i in range(driven, rows):
         out[half + modal - 1 + i] = z[i] - tables.response[i] * beta
-    if len(tables.axes) < 2 or some((tables.gravity[0] != 0.0) | (tables.gravity[1] != 0.0)):
-        _add_gravity(tables, load, cosine, sine, tilt, out)
 
 
 @functions.linear_part_is_valid.of(Tables)
@@ -501,35 +477,22 @@ def _linear_part_is_valid(tables, state, load):
 @functions.observe.of(Tables)
 def _observe(tables, state, load, out):
     """Write the motion of a state."""
-    parts = (0, 0), (_half(tables), len(out) // 2)
-    for k in range(2):
-        source, goal = parts[k]
-        for axis in range(2):
-            out[goal + axis] = 0.0 if k else tables.held_position[axis]
+    half = len(out) // 2
+    for i in range(len(out)):
+        out[i] = 0.0
+    copy(tables.held_position, out)
+    out[2], out[half + 2] = load[ANGLE], load[SPEED]
     if len(tables.axes) < 2:
-        functions.add_base(load, len(out) // 2, out)
-    for k in range(2):
-        source, goal = parts[k]
-        for j in range(len(tables.axes)):
-            out[goal + tables.axes[j]] = state[source + j]
-        out[goal + 2] = load[SPEED] if k else load[ANGLE]
-        driven = len(tables.softening) - len(tables.inverse)
-        for i in range(driven, len(tables.softening)):
-            out[goal + 2 + i] = state[source + len(tables.axes) + i - driven]
+        functions.add_base(load, half, out)
+    for i in range(len(tables.places)):
+        out[tables.places[i]] = state[i]
 
 
 @functions.state_of.of(Tables)
 def _state_of(tables, motion, out):
     """Write the motion's free coordinates and their rates."""
-    axes, rows, half = len(tables.axes), len(tables.softening), _half(tables)
-    driven = rows - len(tables.inverse)
-    parts = (0, 0), (len(motion) // 2, half)
-    for k in range(2):
-        source, goal = parts[k]
-        for j in range(axes):
-            out[goal + j] = motion[source + tables.axes[j]]
-        for i in range(driven, rows):
-            out[goal + axes + i - driven] = motion[source + 2 + i]
+    for i in range(len(tables.places)):
+        out[i] = motion[tables.places[i]]
 
 
 @functions.joint_place.of(Tables, merge=True)
@@ -587,29 +550,13 @@ def _effort(tables, motion, accelerations, load, out):
 
 @functions.energy.of(Tables)
 def _energy(tables, motion, gravity):
-    rates, count = len(motion) // 2, len(tables.axial)
+    momenta, mass = local((motion,)), tables.base_mass + tables.arm_mass
+    _momenta(tables, motion, momenta)
     sine, cosine = sincos(motion[2])
-    mass, omega = tables.base_mass + tables.arm_mass, motion[rates + 2]
-    x, y = motion[rates], motion[rates + 1]
-    along, across = cosine * x + sine * y, cosine * y - sine * x
-    twice = mass * (x * x + y * y) + omega * omega * tables.inertia
-    moment, moment_rate = 0.0, 0.0  # of the mass across the arm
-    for n in range(count):
-        q, qdot = motion[3 + n], motion[rates + 3 + n]
-        moment += tables.moments[n] * q
-        moment_rate += tables.moments[n] * qdot
-        twice += 2.0 * omega * tables.about_root[n] * qdot + tables.stiffness[n] * q * q
-        for k in range(count):
-            twice += (omega * omega * q * tables.deflection_mass[n, k] * motion[3 + k]
-                      + qdot * tables.modal_mass[n, k] * motion[rates + 3 + k])
-    for n in range(len(tables.spring)):
-        turn = motion[2] - tables.spring[n, 1]
-        twice += tables.spring[n, 0] * turn * turn
-    for n in range(len(tables.gear)):  # the spring of a gear is relaxed within its play
-        twice -= functions.loose_energy(tables, n, tables.stiffness[count - 1],
-                                        motion[2 + count])
-    twice += 2.0 * (across * (moment_rate + omega * tables.first_moment) - along * omega * moment)
-    return 0.5 * twice - (
+    moment = 0.0  # of the mass across the arm
+    for n in range(len(tables.moments)):
+        moment += tables.moments[n] * motion[3 + n]
+    return functions.energy_of_momenta(tables, 0, motion, momenta) - (
         gravity[0] * (mass * motion[0] + cosine * tables.first_moment - sine * moment)
         + gravity[1] * (mass * motion[1] + sine * tables.first_moment + cosine * moment))
 
@@ -639,27 +586,27 @@ def _momenta(tables, motion, out):
     out[0], out[1] = cosine * along - sine * across, sine * along + cosine * across
 
 
+@inner
+def _bend(tables, values, begin, out):
+    """Write deflection and rotation of the tip by modal coordinates, or rates."""
+    out[1], out[2] = 0.0, 0.0
+    for n in range(len(tables.tip_deflection)):
+        out[1] += values[begin + n] * tables.tip_deflection[n]
+        out[2] += values[begin + n] * tables.tip_rotation[n]
+
+
 @functions.tip_rate.of(Tables)
 def _tip_rate(tables, motion, out):
     """Write the rate of the tip's place and rotation."""
     out[0] = 0.0
-    out[1] = 0.0
-    out[2] = 0.0
-    for n in range(len(tables.tip_deflection)):
-        rate = motion[len(motion) // 2 + 3 + n]
-        out[1] += rate * tables.tip_deflection[n]
-        out[2] += rate * tables.tip_rotation[n]
+    _bend(tables, motion, len(motion) // 2 + 3, out)
 
 
 @functions.tip.of(Tables)
 def _tip(tables, motion, out):
     """Write the tip's position (r_h + l, w), and its rotation."""
     out[0] = tables.length
-    out[1] = 0.0
-    out[2] = 0.0
-    for n in range(len(tables.tip_deflection)):
-        out[1] += motion[3 + n] * tables.tip_deflection[n]
-        out[2] += motion[3 + n] * tables.tip_rotation[n]
+    _bend(tables, motion, 3, out)
 
 
 @functions.place_point.of(Tables)
