@@ -15,7 +15,7 @@ from timo_sim.compiled.constants import local_arrays
 from timo_sim.compiled.entry import EntryPoint
 from timo_sim.compiled.functions import Array, Constants, inner, value_of, with_derivatives
 from timo_sim.model.formulation import Formulation
-from timo_sim.model.functions import copy, linear_part_is_valid, observe
+from timo_sim.model.functions import copy, linear_part_is_valid, observe, state_of
 from timo_sim.model.layout import AFTER, END, LOADS, MIDDLE, START, STEP_LOADS
 from timo_sim.steps.bristles import Bent, MEMORY, start_bristles
 from timo_sim.steps.etdrk4 import one_step, Work
@@ -61,38 +61,26 @@ def _set_inputs(load, unit, inputs, first, out):
 
 
 @inner
-def _invert(matrix, size):
-    """Invert a matrix in place by elimination; that of rates by momenta needs no exchanges."""
-    for k in range(size):
-        factor, matrix[k, k] = 1.0 / matrix[k, k], 1.0
-        for j in range(size):
-            matrix[k, j] *= factor
-        for i in range(size):
-            factor = matrix[i, k]
-            if i != k and factor != 0.0:
-                matrix[i, k] = 0.0
-                for j in range(size):
-                    matrix[i, j] -= factor * matrix[k, j]
-
-
-@inner
 def _set_slopes(tables, places, state, memory_slopes, now, room, slopes, columns):
-    """Set the derivatives of state and memory at the start."""
-    numbers, size = with_derivatives(room.motion), len(state)
+    """Set the derivatives of state and memory at the start, by the motion and by inputs."""
+    motion, numbers, size = room.motion, with_derivatives(room.motion), len(state)
     turns = numbers.shape[1] - 1
     for k in range(columns):
         for i in range(size):
-            slopes[k, i] = 1.0 if i == k else 0.0
+            slopes[k, i] = 0.0
         for i in range(MEMORY):
             memory_slopes[k, i] = 0.0
+    for i in range(size):
+        now[i] = state[i]
+    observe(tables, now, room.loads[AFTER], motion)
     for first in range(0, size, turns):
         last = min(first + turns, size)
-        _set(state, slopes, first, last, now)
-        observe(tables, now, room.loads[AFTER], room.motion)
+        for i in range(len(motion)):
+            motion[i] = value_of(motion[i])
         for k in range(first, last):
-            for i in range(size):
-                slopes[k, i] = numbers[places[i], 1 + k - first]
-    _invert(slopes, size)
+            numbers[places[k], 1 + k - first] = 1.0
+        state_of(tables, motion, now)
+        _get(now, first, last, slopes)
 
 
 def differentiate(tables, propagator, bristles, places, begins, state, memory, slopes,
