@@ -13,20 +13,18 @@ float, so that branches are taken as without derivatives.
 In NumPy, and by `with_derivatives`, duals are the last axis of an array of floats.
 """
 
-from collections.abc import Callable
 import operator
-from typing import Any
 
 from llvmlite import ir
-from numba.core import cgutils, types
+from numba.core import types
 from numba.core.typeconv import Conversion
 from numba.core.typing.templates import signature
-from numba.extending import lower_builtin, lower_cast
+from numba.extending import lower_cast
 
 from timo_sim.compiled import functions
 from timo_sim.compiled.functions import WIDTH
 from timo_sim.compiled.lanes import (
-    add, infer, is_number, multiply, represent, spread, subtract)
+    add, infer, intrinsic, is_number, lower, multiply, represent, spread, subtract)
 
 _INDEX = ir.IntType(32)
 
@@ -193,8 +191,7 @@ def _define(operators, count, result, generate):
 
     for each in operators:
         infer(each)(signature_for)
-        lower_builtin(each, *count * [Dual])(
-            lambda context, builder, _, operands: generate(builder, *operands))
+        lower(each, *count * [Dual])(generate)
 
 
 def _define_arithmetic():
@@ -214,39 +211,25 @@ _define_arithmetic()
 
 # Functions of `functions`; those that lanes have, too, are inferred in `emit`.
 
-def _lower(function: Any, *kinds: Any) -> Callable[[Callable], Callable]:
-    """Return a decorator for what takes an IRBuilder and the arguments of a function."""
-    def register(generate):
-        lower_builtin(function, *kinds)(
-            lambda context, builder, _, arguments: generate(builder, *arguments))
-        return generate
-    return register
+lower(functions.floor, Dual)(
+    lambda builder, dual: intrinsic(builder, 'floor', _value(builder, dual)))
+lower(functions.value_of, Dual)(_value)
+lower(functions.chain, types.Float, types.Float, Dual)(_chain)
 
 
-def _intrinsic(builder, name, value):
-    return builder.call(cgutils.get_or_insert_function(
-        builder.module, ir.FunctionType(value.type, [value.type]), f'llvm.{name}.f64'), [value])
-
-
-_lower(functions.floor, Dual)(
-    lambda builder, dual: _intrinsic(builder, 'floor', _value(builder, dual)))
-_lower(functions.value_of, Dual)(_value)
-_lower(functions.chain, types.Float, types.Float, Dual)(_chain)
-
-
-@_lower(functions.where, types.Boolean, Dual, Dual)
+@lower(functions.where, types.Boolean, Dual, Dual)
 def _choose(builder, condition, yes, no):
     return _map(builder, lambda n, yes, no: builder.select(condition, yes, no), yes, no)
 
 
-@_lower(functions.magnitude, Dual)
+@lower(functions.magnitude, Dual)
 def _magnitude(builder, dual):
     value = _value(builder, dual)
     return _choose(builder, builder.fcmp_ordered('<', value, ir.Constant(value.type, 0.0)),
                    _negate(builder, dual), dual)
 
 
-@_lower(functions.square_root, Dual)
+@lower(functions.square_root, Dual)
 def _square_root(builder, dual):
-    root = _intrinsic(builder, 'sqrt', _value(builder, dual))
+    root = intrinsic(builder, 'sqrt', _value(builder, dual))
     return _chain(builder, root, builder.fdiv(ir.Constant(root.type, 0.5), root), dual)

@@ -30,7 +30,7 @@ from timo_sim.compiled.duals import Constant, Dual, dual_of
 from timo_sim.compiled.functions import (
     Array, Constants, Declaration, Function, Thread, WARP, WIDTH)
 from timo_sim.compiled.lanes import (
-    infer, Lanes, LANES, lanes_of, Mask, represent, Shared, spread, THREAD)
+    infer, intrinsic, Lanes, LANES, lanes_of, lower, Mask, represent, Shared, spread, THREAD)
 
 # Sums may be reordered and fused, which vectorises the short loops; NaN and Inf keep their
 # meaning, so that a diverged state is still seen ('fast' would assume them away).
@@ -52,20 +52,17 @@ class View(types.Type):
 
 
 class Block(types.Type):
-    """Constants of a kind; `number` is that of their floats: float64, Shared, Lanes, Constant."""
+    """
+    Constants of a kind, or one block of them for each group of lanes.
 
-    def __init__(self, kind: type, number: Any) -> None:
-        self.kind, self.number, self.stride = kind, number, getattr(number, 'stride', 1)
+    `number` is that of their floats: float64, Shared, Lanes, Constant.
+    """
+
+    def __init__(self, kind: type, number: Any, grouped: bool = False) -> None:
+        self.kind, self.number, self.grouped = kind, number, grouped
+        self.stride = getattr(number, 'stride', 1)
         self.fields = {field.name: field for field in fields_of(kind)}
-        super().__init__(f'Block({kind.__module__}.{kind.__name__}, {number})')
-
-
-class Blocks(types.Type):
-    """Blocks of constants, one for each group of lanes."""
-
-    def __init__(self, block: Block) -> None:
-        self.block = block
-        super().__init__(f'Blocks({block})')
+        super().__init__(f'Block({kind.__module__}.{kind.__name__}, {number}, {grouped})')
 
 
 def _stored(number):
@@ -88,7 +85,6 @@ def _working(*numbers):
 
 represent(View, lambda view: _stored(view.element).as_pointer())
 represent(Block, lambda _: _BYTES)
-represent(Blocks, lambda _: _BYTES)
 
 
 def _symbol(builder, name):
@@ -178,11 +174,8 @@ def _indices(index):
 
 @infer(operator.getitem)
 def _infer_get_item(array, index):
-    if isinstance(array, Blocks):
-        return signature(array.block, array, types.intp)
-    # What is shared is the same for each group of lanes.
-    if isinstance(array, Block) and isinstance(array.number, Shared):
-        return signature(array, array, types.intp)
+    if isinstance(array, Block) and isinstance(array.number, (Lanes, Shared)):
+        return signature(Block(array.kind, array.number), array, types.intp)
     if not isinstance(array, View):
         return None
     rest = array.dims[len(_indices(index)):]
@@ -221,16 +214,13 @@ def _get_item(context, builder, sig, arguments):
     return place if isinstance(sig.return_type, View) else _load(builder, place, view.element)
 
 
-@lower_builtin(operator.getitem, Blocks, types.intp)
+@lower_builtin(operator.getitem, Block, types.intp)
 def _get_block(context, builder, sig, arguments):
-    length = _symbol(builder, f'length.{sig.args[0].block.kind.__name__}')
+    if not sig.args[0].grouped:  # what is shared is the same for each group of lanes
+        return arguments[0]
+    length = _symbol(builder, f'length.{sig.args[0].kind.__name__}')
     return builder.gep(arguments[0], [builder.mul(arguments[1], length, flags=('nsw',))],
                        inbounds=True)
-
-
-@lower_builtin(operator.getitem, Block, types.intp)
-def _get_shared_block(context, builder, sig, arguments):
-    return arguments[0]
 
 
 @lower_builtin(operator.setitem, View, types.Any, types.Any)
@@ -282,21 +272,12 @@ def _define_intrinsic(function, name):
     """Define a function of floats and lanes as an intrinsic function of LLVM."""
     @infer(function)
     def _infer_call(value):
-        if isinstance(value, Dual) and function is not functions.floor:
-            return signature(value, value)
-        return signature(lanes_of(value) or types.float64, value)
+        if isinstance(value, Dual):  # `duals` has its code
+            return signature(types.float64 if function is functions.floor else value, value)
+        kind = lanes_of(value) or types.float64
+        return signature(kind, kind)
 
-    @lower_builtin(function, types.Float)
-    @lower_builtin(function, types.Integer)
-    @lower_builtin(function, Lanes)
-    @lower_builtin(function, Shared)
-    def _call(context, builder, sig, arguments):
-        value = context.cast(builder, arguments[0], sig.args[0], sig.return_type)
-        lanes = lanes_of(sig.return_type)
-        suffix = f'v{lanes.width}f64' if lanes else 'f64'
-        intrinsic = cgutils.get_or_insert_function(
-            builder.module, ir.FunctionType(value.type, [value.type]), f'llvm.{name}.{suffix}')
-        return builder.call(intrinsic, [value])
+    lower(function, types.Any)(lambda builder, value: intrinsic(builder, name, value))
 
 
 _define_intrinsic(functions.floor, 'floor')
@@ -310,46 +291,30 @@ def _infer_where(condition, yes, no):
     return signature(result, condition, result, result)
 
 
-@lower_builtin(functions.where, types.Any, types.Any, types.Any)
-def _where(context, builder, sig, arguments):
-    return builder.select(*arguments)
-
-
-@infer(functions.value_of)
-def _infer_value_of(number):
-    return signature(types.float64 if isinstance(number, Dual) else number, number)
-
-
-@infer(functions.chain)
-def _infer_chain(value, slope, number):
-    return signature(dual_of(number) or value, value, slope, number)
+lower(functions.where, types.Any, types.Any, types.Any)(ir.IRBuilder.select)
+infer(functions.some)(lambda condition: signature(types.boolean, condition))
+infer(functions.value_of)(lambda number: signature(
+    types.float64 if isinstance(number, Dual) else number, number))
+infer(functions.chain)(lambda value, slope, number: signature(
+    dual_of(number) or value, value, slope, number))
+infer(functions.with_derivatives)(lambda array: signature(
+    View(types.float64, (*array.dims, array.element.size)), array))
+infer(functions.without_derivatives)(lambda constants: signature(
+    Block(constants.kind, types.float64), constants))
 
 
 @lower_builtin(functions.value_of, types.Any)
 @lower_builtin(functions.chain, types.Any, types.Any, types.Any)
+@lower_builtin(functions.sum_of, types.Any, View)
 def _first(context, builder, sig, arguments):
     return arguments[0]
 
 
-@infer(functions.with_derivatives)
-def _infer_with_derivatives(array):
-    return signature(View(types.float64, (*array.dims, array.element.size)), array)
-
-
-@infer(functions.without_derivatives)
-def _infer_without_derivatives(constants):
-    return signature(Block(constants.kind, types.float64), constants)
-
-
+@lower_builtin(functions.as_vectors, View)
 @lower_builtin(functions.with_derivatives, View)
 @lower_builtin(functions.without_derivatives, Block)
-def _as_floats(context, builder, sig, arguments):
+def _as_other(context, builder, sig, arguments):
     return builder.bitcast(arguments[0], context.get_value_type(sig.return_type))
-
-
-@infer(functions.some)
-def _infer_some(condition):
-    return signature(types.boolean, condition)
 
 
 @lower_builtin(functions.some, types.Any)
@@ -376,11 +341,6 @@ def _infer_as_vectors(given):
     return signature(containers.BaseTuple.from_types(views, given.instance_class), given)
 
 
-@lower_builtin(functions.as_vectors, View)
-def _as_vectors(context, builder, sig, arguments):
-    return builder.bitcast(arguments[0], context.get_value_type(sig.return_type))
-
-
 @lower_builtin(functions.as_vectors, containers.BaseNamedTuple)
 def _all_as_vectors(context, builder, sig, arguments):
     pointers = cgutils.unpack_tuple(builder, arguments[0])
@@ -395,11 +355,6 @@ def _infer_sum_of(vector, like):
         return signature(vector, vector, like)
     lanes = lanes_of(like.element)
     return signature(lanes or types.float64, lanes or LANES, like)
-
-
-@lower_builtin(functions.sum_of, types.Any, View)
-def _alone(context, builder, sig, arguments):
-    return arguments[0]
 
 
 @lower_builtin(functions.sum_of, Lanes, View)
@@ -586,8 +541,8 @@ def _type_of(argument, kind, lanes):
     if isinstance(argument, Constants):
         number = {'floats': types.float64, 'shared': Shared(lanes.width), 'lanes': lanes}[
             argument.form]
-        block = Block(kind, Constant(argument.duals) if argument.duals else number)
-        return Blocks(block) if argument.form == 'lanes' else block
+        return Block(kind, Constant(argument.duals) if argument.duals else number,
+                     argument.form == 'lanes')
     if isinstance(argument, Array):
         number = lanes if argument.lanes else types.int64 if argument.whole else types.float64
         return View(number, argument.dims, lanes.stride if argument.lanes else 1)
@@ -648,7 +603,7 @@ def _entry_module(result, library, threads):
         lane = builder.srem(given[-1], ir.Constant(_WORD, WARP))
         given = [builder.bitcast(builder.gep(
             builder.bitcast(each, ir.DoubleType().as_pointer()), [lane], inbounds=True), each.type)
-            if isinstance(kind, Blocks) or getattr(kind, 'stride', 1) > 1 else each
+            if getattr(kind, 'stride', 1) > 1 else each
             for kind, each in zip(sig.args, given)]
         given[-1] = builder.sdiv(given[-1], ir.Constant(_WORD, WARP))
     _, value = context.call_conv.call_function(

@@ -55,7 +55,6 @@ class Declaration(Function):
 
 # Decorators of functions that only compiled functions call.
 inner = Function                           # part of its callers
-separate = partial(Function, merge=False)  # one copy for all of them
 strict = partial(Function, fast=False)     # without any fast math
 declare = Declaration
 

@@ -118,6 +118,24 @@ def infer(function: Any) -> Callable[[Callable[..., Any]], None]:
     return register
 
 
+def lower(function: Any, *kinds: Any) -> Callable[[Callable], Callable]:
+    """Return a decorator for what takes an IRBuilder and the arguments of a function."""
+    def register(generate):
+        lower_builtin(function, *kinds)(
+            lambda context, builder, _, arguments: generate(builder, *arguments))
+        return generate
+    return register
+
+
+def intrinsic(builder: ir.IRBuilder, name: str, *values: ir.Value) -> ir.Value:
+    """Return what an intrinsic function of LLVM makes of floats or vectors."""
+    kind = values[0].type
+    length = f'v{kind.count}' if isinstance(kind, ir.VectorType) else ''
+    return builder.call(cgutils.get_or_insert_function(
+        builder.module, ir.FunctionType(kind, len(values) * [kind]),
+        f'llvm.{name}.{length}f64'), values)
+
+
 def spread(builder: ir.IRBuilder, value: ir.Value, vector: ir.VectorType) -> ir.Value:
     """Return a vector with the same float in all places."""
     nothing, index = ir.Constant(vector, ir.Undefined), ir.IntType(32)
@@ -149,8 +167,7 @@ def _define(operators, kinds, result, generate):
 
     for each in operators:
         infer(each)(signature_for)
-        lower_builtin(each, *kinds)(
-            lambda context, builder, _, operands: generate(builder, *operands))
+        lower(each, *kinds)(generate)
 
 
 def _is_product(value):
@@ -170,10 +187,7 @@ def add(builder: ir.IRBuilder, a: ir.Value, b: ir.Value) -> ir.Value:
         a, b = b, a
     if not _is_product(b):
         return builder.fadd(a, b, flags=_FLAGS)
-    fused = cgutils.get_or_insert_function(
-        builder.module, ir.FunctionType(a.type, 3 * [a.type]),
-        f'llvm.fmuladd.v{a.type.count}f64')
-    return builder.call(fused, [*b.operands, a])
+    return intrinsic(builder, 'fmuladd', *b.operands, a)
 
 
 def subtract(builder: ir.IRBuilder, a: ir.Value, b: ir.Value) -> ir.Value:
