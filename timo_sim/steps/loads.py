@@ -143,9 +143,9 @@ def _add_curve(column, pieces, begin, end, step, first, count, out):
 @strict
 def _add_integrals(column, pieces, piece, low, high, start, step, out):
     """Add what the stages of a step see of a piece between two times."""
-    for node in range(_NODES):
-        time = low + (high - low) * _place(node)
-        share = _share(node) * (high - low) / step
+    for node in range(len(_PLACES)):
+        time = low + (high - low) * _PLACES[node]
+        share = _SHARES[node] * (high - low) / step
         for stage in range(STAGES):
             _add_values(column, pieces, piece, time, share * _seen(stage, (time - start) / step),
                         out[stage])
@@ -170,22 +170,8 @@ def _add_values(column, pieces, piece, time, factor, out):
 # What a stage sees is the integral of the load over the step with the weight `_seen`. It is found
 # by Gauss's rule, which is exact for a quintic polynomial times a parabola, from kink to kink.
 
-_NODES = 4
-_INNER, _OUTER = 0.3399810435848563, 0.8611363115940526  # from -1 to 1
-_INNER_SHARE, _OUTER_SHARE = 0.3260725774312730, 0.1739274225687269
-
-
-@strict
-def _place(node):
-    """Return the place of a node, from 0 to 1."""
-    place = _OUTER if node == 0 or node == 3 else _INNER
-    return 0.5 - 0.5 * place if node < 2 else 0.5 + 0.5 * place
-
-
-@strict
-def _share(node):
-    """Return the share of a node in an integral."""
-    return _OUTER_SHARE if node == 0 or node == 3 else _INNER_SHARE
+_PLACES = 0.06943184420297371, 0.33000947820757187, 0.6699905217924281, 0.9305681557970262
+_SHARES = 0.1739274225687269, 0.3260725774312730, 0.3260725774312730, 0.1739274225687269
 
 
 @strict
@@ -258,12 +244,13 @@ def _add_line(actuators, column, begin, out):
     end = magnitude(actuators.goal[column] - actuators.origin[column]) / (
         actuators.rate[column] * step)
     if begin < end < begin + 1.0 and magnitude(end - floor(end + 0.5)) > NEAR:
-        for node in range(2 * _NODES):
-            low, high = (begin, end) if node < _NODES else (end, begin + 1.0)
-            at = low + (high - low) * _place(node % _NODES)
-            value = _share(node % _NODES) * (high - low) * _reached(actuators, column, at * step)
-            for stage in range(STAGES):
-                out[stage, column] += value * _seen(stage, at - begin)
+        for part in range(2):
+            low, high = (begin, end) if part == 0 else (end, begin + 1.0)
+            for node in range(len(_PLACES)):
+                at = low + (high - low) * _PLACES[node]
+                value = _SHARES[node] * (high - low) * _reached(actuators, column, at * step)
+                for stage in range(STAGES):
+                    out[stage, column] += value * _seen(stage, at - begin)
     else:
         for stage in range(STAGES):
             out[stage, column] += _reached(actuators, column, (begin + 0.5 * stage) * step)
