@@ -97,24 +97,15 @@ def springs_of(values: np.ndarray) -> np.ndarray:
                      values[:, REACH], out=np.zeros(BRISTLES), where=values[:, REACH] > 0.0)
 
 
-def mobilities(model: Formulation, motion: np.ndarray | None = None) -> list[np.ndarray]:
+@lru_cache(maxsize=8)
+def mobilities(model: Formulation, q: tuple[float, ...] = ()) -> list[np.ndarray]:
     """
     Return accelerations of joints by unit forces on each, (4, 4), along and across the arm.
 
-    The arm is straight, or as in a motion, (2 (3 + N),).
+    The arm is straight, or bent as by modal coordinates, (N,).
     """
-    bent = motion is not None and motion[3:model.size // 2].any()
-    return _mobilities(model, motion) if bent else _of_straight_arm(model)
-
-
-@lru_cache(maxsize=8)
-def _of_straight_arm(model):
-    return _mobilities(model, np.zeros(model.size))
-
-
-def _mobilities(model, motion):
-    motion = motion.copy()
-    motion[2] = 0.0
+    motion = np.zeros(model.size)
+    motion[3:3 + len(q)] = q
     free = [*model.axes, *range(2 + model.driven, model.size // 2)]
     mass, joints = model.mass_matrix(motion)[0], model.joint_turns.T[:, free]
     turn = np.eye(len(mass))
