@@ -213,8 +213,10 @@ class Exact(Formulation):
             found = found + SECTORS * band_of(np.where(good, speed, 0.0), bands)
         return found.astype(int) if state.ndim > 1 else int(found)
 
-    def in_sector(self, number: int) -> tuple[Any, np.ndarray]:
+    def in_sector(self, number: int | None) -> tuple[Any, np.ndarray]:
         """Return tables and linear part of the straight arm in the middle of a sector, a band."""
+        if number is None:
+            return super().in_sector(None)
         band, sector = divmod(number, SECTORS)
         angle = (sector + 0.5) * np.pi / SECTORS
         tables, linear = self._with_linear_part(self.tables, angle)

@@ -211,9 +211,9 @@ class Formulation(ABC):
         """
         return None
 
-    def in_sector(self, number: int) -> tuple[Any, np.ndarray]:
-        """Return the tables and the linear part of a sector."""
-        raise NotImplementedError(f'{type(self).__name__} has no sectors')
+    def in_sector(self, number: int | None) -> tuple[Any, np.ndarray]:
+        """Return the tables and the linear part of a sector; None: those of no sector."""
+        return self.tables, self.linear
 
     @staticmethod
     def node_count(count: int, shapes: bool = False) -> int:

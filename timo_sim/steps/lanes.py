@@ -174,16 +174,16 @@ class LaneSteps:
 
     def _use(self, lanes):
         # Write tables and matrices of the present models and sectors of some lanes.
-        parts = [self._part(self._models[lane], None if self._sectors is None else
-                            int(self._sectors[lane])) for lane in lanes]
+        parts = [self._part(self._models[lane], None if self._sectors is None or
+                            self._sectors[lane] < 0 else int(self._sectors[lane]))
+                 for lane in lanes]
         for packed, fields in zip(self._constants, zip(*parts)):
             self._write(packed, lanes, fields)
 
     def _part(self, model, sector):
         key = model, sector
         if key not in self._parts:
-            tables, linear = ((model.tables, model.linear) if sector is None or sector < 0 else
-                              model.in_sector(sector))
+            tables, linear = model.in_sector(sector)
             self._parts[key] = tables, matrices_of(linear, self.step)
         return self._parts[key]
 

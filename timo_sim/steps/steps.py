@@ -122,10 +122,8 @@ class Steps:
         They are made at their first use; None: those of the model.
         """
         if sector not in self._parts:
-            model, packed, linear = self.model, self.model.packed, self.model.linear
-            if sector is not None:
-                tables, linear = model.in_sector(sector)
-                packed = model.pack(tables)
+            tables, linear = self.model.in_sector(sector)
+            packed = self.model.packed if sector is None else self.model.pack(tables)
             self._parts[sector] = packed, pack(matrices_of(linear, self.step))
         return self._parts[sector]
 
