@@ -47,7 +47,7 @@ def balance(run):
     steps = np.rint(run.t / run.scene.step)
     jumps = np.rint([time / run.scene.step for terms in run.scene.load.terms.values()
                      for term in terms if hasattr(term, 'jumps') for time in term.jumps()])
-    position, velocity = (run.values[:, part] @ model.driven_turns
+    position, velocity = (run.values[:, part] @ model.joint_turns[:, :3]
                           for part in (slice(half), slice(half, None)))
     done = work(ns, position, velocity, run.effort, np.isin(steps, jumps)[:, np.newaxis])
     energy = run.energy() + run.friction_heat + run.dissipated()

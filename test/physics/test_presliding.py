@@ -240,8 +240,8 @@ def test_energy_and_what_friction_takes_are_the_work_of_the_loads(more):
         simulator = Simulator(scene.vary({'integrator.step': step}))
         motions, heat = simulator.advance(round(2.0 / step), load, sample_every=1)
         model = simulator.model
-        energy, places = model.energy(motions), motions[:, :model.size // 2] @ model.driven_turns
-        work = (places - places[0]) @ load[[FORCE_X, FORCE_Y, TORQUE]]
+        energy, places = model.energy(motions), motions[:, :model.size // 2] @ model.joint_turns
+        work = (places - places[0])[:, :3] @ load[[FORCE_X, FORCE_Y, TORQUE]]
         damped = np.append(0.0, np.cumsum(0.5 * step * (
             model.dissipation(motions)[1:] + model.dissipation(motions)[:-1])))
         errors.append(np.abs(energy - energy[0] + heat + damped - work).max())

@@ -164,14 +164,10 @@ class Formulation(ABC):
         return self  # it does not change
 
     @property
-    def driven_turns(self) -> np.ndarray:
-        """Jacobian, (3 + N, 3), of where actuators act, carrier x, y and rotor, by coordinate."""
-        return np.column_stack([*np.eye(2, self.size // 2), self.rotor])
-
-    @property
     def joint_turns(self) -> np.ndarray:
-        """The same of all joints with friction, those and the shaft, (3 + N, 4)."""
-        return np.column_stack([self.driven_turns, np.eye(self.size // 2)[2]])
+        """Jacobian, (3 + N, 4), of carrier x, y, rotor and shaft by coordinate."""
+        unit = np.eye(3, self.size // 2)
+        return np.column_stack([*unit[:2], self.rotor, unit[2]])
 
     @property
     def gear_place(self) -> int:
@@ -494,19 +490,6 @@ class Formulation(ABC):
                  len(motions), energy)
         return energy
 
-    def friction(self, motions: np.ndarray) -> np.ndarray:
-        """
-        Return the friction of the equations against carrier [N] and shaft [N m], shape (n, 3).
-
-        It is the viscous one and the Coulomb friction that builds up over a speed; coordinates
-        that are held, locked or driven have none. That of a rotor is not part of it.
-        """
-        speeds, body = motions[:, self.size // 2:][:, :3].T, self.manipulator
-        viscous = body.carrier_friction, body.carrier_friction, body.shaft_friction
-        return np.where(self.constrained, 0.0, np.column_stack([
-            by_speed * speed + coulomb(body, joint, speed)
-            for by_speed, joint, speed in zip(viscous, (0, 0, 1), speeds)]))
-
     def gear_torque(self, motions: np.ndarray) -> np.ndarray:
         """Return the torque of an elastic gear on the shaft in motions (T62), (n,) [N m]."""
         gear, place = self.gear, self.gear_place
@@ -516,21 +499,28 @@ class Formulation(ABC):
                        for begin in (0, self.size // 2))
         return gear_torque(gear.stiffness, gear.damping, 0.5 * gear.backlash, twist, rate)
 
-    def _gear_power(self, motions):
-        # Power that the friction of the rotor takes, and a gear more than its modal damping.
-        gear, place, rates = self.gear, self.gear_place, motions[:, self.size // 2:]
-        twist, rate = (self.rotor[place] * each[:, place] for each in (motions, rates))
-        speed = rates @ self.rotor
-        elastic = gear.stiffness * (twist - within(0.5 * gear.backlash, twist))
-        return ((self.gear_torque(motions) - elastic - gear.damping * rate) * rate
-                + (gear.friction * speed + coulomb(self.manipulator, 2, speed)) * speed)
-
     def dissipation(self, motions: np.ndarray) -> np.ndarray:
-        """Return the power that this friction and modal damping take, shape (n,) [W]."""
-        rates = motions[:, self.size // 2:]
-        taken = (np.sum(self.friction(motions) * rates[:, :3], axis=1)
-                 + rates[:, 3:]**2 @ self.modal_damping)
-        return taken + self._gear_power(motions) if self.gear else taken
+        """
+        Return the power that modal damping and friction of the equations take, shape (n,) [W].
+
+        That is the viscous one and the Coulomb friction that builds up over a speed; coordinates
+        that are held, locked or driven have none.
+        """
+        gear, body, rates = self.gear, self.manipulator, motions[:, self.size // 2:]
+        x, y, rotor, shaft = (rates @ self.joint_turns).T
+        joints = [(body.carrier_friction, 0, x), (body.carrier_friction, 0, y),
+                  (body.shaft_friction, 1, shaft)]
+        taken = rates[:, 3:]**2 @ self.modal_damping
+        if gear:  # its contacts, more than its modal damping
+            twist, rate = (self.rotor[self.gear_place] * each[:, self.gear_place]
+                           for each in (motions, rates))
+            elastic = gear.stiffness * (twist - within(0.5 * gear.backlash, twist))
+            taken += (self.gear_torque(motions) - elastic - gear.damping * rate) * rate
+            joints.append((gear.friction, 2, rotor))
+        for (viscous, joint, speed), held in zip(joints, [*self.constrained, False]):
+            if not held:
+                taken += (viscous * speed + coulomb(body, joint, speed)) * speed
+        return taken
 
     def mass_matrix(self, motion: np.ndarray) -> tuple[np.ndarray, np.ndarray]:
         """
