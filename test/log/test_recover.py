@@ -61,7 +61,7 @@ def run(*arguments):
 
 
 def test_a_complete_log_is_left_alone(log, intact):
-    assert run(log) == (0, f'{log} is complete: 132 messages until sim time 0.119 s; '
+    assert run(log) == (0, f'{log} is complete: 132 messages until log time 0.119 s; '
                         'nothing is written\n', '')
     assert [*log.parent.iterdir()] == [log] and log.read_bytes() == intact
 
@@ -92,7 +92,7 @@ def test_a_log_without_its_summary_gets_the_same_again(log, intact):
     code, output, errors = run(cut)
     assert (code, errors) == (0, '')
     new = log.with_name('cut_recovered.mcap')
-    assert output == (f'{cut}: it ends early (byte {end}); 132 messages until sim time 0.119 s, '
+    assert output == (f'{cut}: it ends early (byte {end}); 132 messages until log time 0.119 s, '
                       f'0 bytes lost; complete in {new}\n')
     assert messages_of(new) == messages_of(log)
     *same, notes, statistics = records_of(new)
@@ -128,10 +128,10 @@ def test_a_bag_of_a_wall_clock_is_recovered_beside_its_folder(tmp_path, monkeypa
     monkeypatch.chdir(bag if name == '.' else tmp_path)
     code, output, _ = run(name)
     new = tmp_path / 'bag_recovered.mcap'
-    assert code == 0 and ' 3 messages within 1.500 s, ' in output and 'sim time' not in output
+    assert code == 0 and ' 3 messages until log time 1700000001.623 s, ' in output
     assert [*bag.iterdir()] == [file] and file.read_bytes() == whole[:-20]
     assert decoded(new) == {'/timo_sim/motor_torque': 3}
-    assert 'is complete: 3 messages within 1.500 s;' in run(new)[1]
+    assert 'is complete: 3 messages until log time 1700000001.623 s;' in run(new)[1]
 
 
 def test_no_file_is_overwritten(log, intact):
@@ -142,7 +142,7 @@ def test_no_file_is_overwritten(log, intact):
     taken.write_bytes(b'precious')
     code, output, errors = run(log, '--output', taken)
     assert (code, output) == (2, '')
-    assert errors == f'timo_sim: {taken} exists: remove it or choose another --output\n'
+    assert errors == f'timo_sim: {taken} exists: remove it or choose another name\n'
     assert taken.read_bytes() == b'precious' and log.read_bytes() == intact[:-20]
     code, output, _ = run(log, '-o', log.with_name('mine.mcap'))
     assert code == 0 and contents(log.with_name('mine.mcap')).total() == 132
@@ -202,15 +202,15 @@ def test_flipped_bits_are_detected(log, intact, no_sync):
     assert outcome(log) == 'recovered'
 
 
-def test_a_flipped_bit_loses_one_chunk(log, intact):
+def test_what_is_before_a_flipped_bit_is_kept(log, intact):
     place, _, length = [entry for entry in places(intact) if entry[1] == Opcode.CHUNK][2]
     damaged = bytearray(intact)
     damaged[place + length - 20] ^= 4
     log.write_bytes(damaged)
     code, output, _ = run(log)
-    assert code == 0 and f'(byte {place})' in output and f'{length} bytes lost' in output
-    found = decoded(log.with_name('run_recovered.mcap'))
-    assert 80 <= found['/timo_sim/motor_torque'] <= 100
+    assert code == 0 and f'(byte {place})' in output
+    assert f'{len(intact) - place} bytes lost' in output
+    assert decoded(log.with_name('run_recovered.mcap'))['/timo_sim/motor_torque'] == 40
 
 
 def test_bad_files_are_refused_or_recovered(tmp_path):
@@ -249,17 +249,6 @@ def test_bad_files_are_refused_or_recovered(tmp_path):
         new.unlink()
 
 
-def test_a_small_chunk_cannot_hold_millions_of_records(tmp_path):
-    path = tmp_path / 'run.mcap'
-    path.write_bytes(MCAP0_MAGIC + written(
-        Header(profile='', library=''),
-        Channel(id=1, schema_id=0, topic='/a', message_encoding='json', metadata={}), message(),
-        chunk(bytes(60 << 20), 'zstd')))
-    assert path.stat().st_size < 10_000
-    assert 'a chunk has more records than its size' in recover(path, tmp_path / 'new.mcap')
-    assert contents(tmp_path / 'new.mcap') == {'/a': 1}
-
-
 def raw(opcode, content, length=None):
     """Return a record, by default with its true length."""
     return struct.pack('<BQ', opcode, len(content) if length is None else length) + content
@@ -286,8 +275,8 @@ def chunk(data, compression='', size=None, crc=None, stored=None):
                  uncompressed_size=len(data) if size is None else size)
 
 
-def test_what_other_tools_write_is_kept_or_named(tmp_path):
-    """Messages without a chunk or a schema are kept; attachments and private records are named."""
+def test_what_other_tools_write_is_kept(tmp_path):
+    """Messages without a chunk or a schema are; attachments and private records are left out."""
     note = Attachment(create_time=1, log_time=2, name='note', media_type='', data=b'by hand')
     other = Schema(id=7, name='foxglove.Pose', encoding='protobuf', data=b'\x0a\x03')
     path, new = tmp_path / 'run.mcap', tmp_path / 'new.mcap'
@@ -295,19 +284,15 @@ def test_what_other_tools_write_is_kept_or_named(tmp_path):
         Header(profile='', library=''), other,
         Channel(id=900, topic='/weather', message_encoding='json', metadata={}, schema_id=0),
         Channel(id=901, topic='/pose', message_encoding='protobuf', metadata={}, schema_id=7),
-        Channel(id=902, topic='/lost', message_encoding='x', metadata={}, schema_id=8),
         message(900), note, raw(0x90, b'of my own'), written(chunk(
-            written(message(901), message(9), message(902)), 'zstd'))))
+            written(message(901), message(9)), 'zstd'))))
     text = recover(path, new)
-    assert "'/lost' is of an unknown schema, 8, and is kept without (byte" in text
-    assert ' and 2 more; 3 messages within 0.000 s, 0 bytes lost, 2 attachments or private' in text
-    assert ' records left out; complete in' in text
+    assert 'a message is of an unknown channel, 9 (byte' in text and '; 2 messages until' in text
     with open(new, 'rb') as stream:
         found = [(schema and schema.data, channel.topic, entry.publish_time, entry.data)
                  for schema, channel, entry in make_reader(stream).iter_messages()]
     assert sorted(found, key=lambda each: each[1]) == [
-        (None, '/lost', 6, payload(1.0)), (b'\x0a\x03', '/pose', 6, payload(1.0)),
-        (None, '/weather', 6, payload(1.0))]
+        (b'\x0a\x03', '/pose', 6, payload(1.0)), (None, '/weather', 6, payload(1.0))]
 
 
 def test_paths_that_are_no_files_are_refused(tmp_path):
@@ -360,7 +345,7 @@ def test_killed_nodes_leave_logs_that_can_be_recovered(start, client, tmp_path):
         text = recover(tmp_path / f'{name}.mcap')
         new = tmp_path / f'{name}_recovered.mcap'
         found, latest = decoded(new), max(entry[2] for entry in messages_of(new))
-        assert f'{found.total()} messages until sim time {1e-9 * latest:.3f} s' in text
+        assert f'{found.total()} messages until log time {1e-9 * latest:.3f} s' in text
         assert 1e-9 * latest > time_of(states[-1]) - 1.0
         profile, schemas, channels, notes, _ = records_of(new)
         assert profile == 'ros2' and len(schemas) >= 5 and len(channels) >= 6

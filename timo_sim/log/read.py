@@ -2,7 +2,7 @@
 # SPDX-License-Identifier: Apache-2.0
 
 """
-Read a log record by record, or its summary alone; recover what is intact in a damaged one.
+Read a log record by record, or its summary alone; recover what is before a damage.
 
 Records are parsed by mcap. Checksums are verified, and lengths are compared with the file and with
 fixed limits before anything is read.
@@ -14,7 +14,6 @@ from collections.abc import Collection, Iterator
 import fcntl
 from io import BytesIO
 import json
-import math
 import os
 from pathlib import Path
 import stat
@@ -40,18 +39,14 @@ from timo_sim.scene.files import whole_file
 _LARGEST_CHUNK = 64 * 1024 * 1024      # [B] uncompressed
 _LARGEST_RECORD = _LARGEST_CHUNK + 1024 * 1024
 _LARGEST_SUMMARY = 512 * 1024 * 1024   # [B], about that of a log of a month
-# Most records of a chunk, and for each of its bytes as stored: messages have stamps of their own.
-_MOST_RECORDS, _RECORDS_PER_BYTE = 10_000, 10
 _FOOTER = struct.Struct('<BQQQI8s')    # opcode, length, places of summary and offsets, CRC, magic
-_AT_ONCE = 4096  # most messages outside of chunks that are read together
+_AT_ONCE = 512 * 1024  # [B] of messages outside of chunks that are read together
 # A message, but for its data.
 _MESSAGE = np.dtype([('opcode', 'u1'), ('length', '<u8'), ('channel', '<u2'), ('sequence', '<u4'),
                      ('log_time', '<u8'), ('publish_time', '<u8')])
 # What mcap and the decompressors raise for bytes that they cannot read.
 _UNREADABLE = (McapError, ValueError, OverflowError, RuntimeError, EOFError, LookupError,
                struct.error, zstandard.ZstdError)
-_CHUNK_OPCODE, _INDEX_OPCODE = int(Opcode.CHUNK), int(Opcode.MESSAGE_INDEX)
-_OF_BLOCK, _FIRST_PRIVATE_OPCODE = (MESSAGE_OPCODE, _INDEX_OPCODE), 0x80
 
 
 class LogError(ValueError):
@@ -204,18 +199,6 @@ class Messages(NamedTuple):
         places = len(self.data) - size + 1
         return np.ndarray((places, size), np.uint8, self.data, strides=(1, 1))[self.ends - size]
 
-    def chunk(self) -> Chunk:
-        """Return them as a chunk of a log."""
-        lengths = HEAD.size + self.heads['length'].astype(np.int64)
-        chunk, starts = Chunk(), self.ends - lengths
-        for part in map(slice, starts.tolist(), self.ends.tolist()):
-            chunk.data += self.data[part]
-        index = np.column_stack([self.heads['log_time'].astype(np.int64),
-                                 np.cumsum(lengths) - lengths])
-        for channel in np.unique(self.heads['channel']).tolist():
-            chunk.index[channel] = index[self.heads['channel'] == channel].ravel().tolist()
-        return chunk
-
 
 class LogFile:
     """
@@ -292,108 +275,82 @@ def _step_of(note):
 
 class _Reader:
     """
-    Reads a log, behind its magic, record by record until it breaks.
+    Reads a log, behind its magic, record by record.
 
-    `faults` are place and text of each damage, `lost` are the bytes that could not be read;
-    `left_out` counts attachments and private records, which are not copied.
+    It stops at the first damage: `damage` says what it is, None after the end of a complete file.
+    `place` is how far it has read, or where the damage is [B].
     """
 
     def __init__(self, stream: BinaryIO) -> None:
-        self._stream, self.profile = stream, 'ros2'
-        self._place, self._known = len(MCAP0_MAGIC), {Schema: {0}, Channel: set()}
-        self._resets = self.lost = self.left_out = 0
-        self.faults: list[tuple[int, str]] = []
-
-    @property
-    def damage(self) -> str | None:
-        """The first damage and its place; None for a complete file that was read."""
-        return '{1} (byte {0})'.format(*min(self.faults)) if self.faults else None
+        self._stream, self.profile, self.place = stream, 'ros2', len(MCAP0_MAGIC)
+        self.damage: str | None = None
+        self._schemas, self._channels, self._resets = {0}, set[int](), 0
 
     def records(self) -> Iterator[Schema | Channel | Metadata | Messages]:
         """Yield each Schema and Channel once, Metadata but rosbag2's, and Messages."""
-        parts: list[bytes] = []  # of what is yielded together: a chunk, messages outside of chunks
-        index: list[bytes] = []  # contents of the MessageIndex records behind it
-        stored = begin = 0       # its bytes in the file, and where they begin
-        for opcode, content in self._framed():
-            if opcode not in _OF_BLOCK or len(parts) > 2 * _AT_ONCE:
-                yield from self._inside(b''.join(parts), index, stored, begin)
-                parts, index, stored, begin = [], [], 0, self._place
-            try:
-                if opcode == _INDEX_OPCODE:
-                    index.append(content)
-                elif opcode == MESSAGE_OPCODE:
-                    parts += HEAD.pack(opcode, len(content)), content
-                    stored += len(content)
-                elif opcode == _CHUNK_OPCODE:
-                    parts.append(_decompress(_parse(ChunkRecord, content)))
-                    stored = len(content)
-                else:
-                    yield from self._record(opcode, content)
-            except _UNREADABLE as error:
-                self._report(_reason(error), HEAD.size + len(content))
-        yield from self._inside(b''.join(parts), index, stored, begin)
+        try:
+            for data in self._blocks():
+                yield from self._inside(data)
+            _read_summary(self._stream)
+        except _UNREADABLE as error:
+            self.damage = f'{_reason(error)} (byte {self.place})'
 
-    def _framed(self):
-        """Yield opcode and content of each record."""
+    def _blocks(self):
+        """Yield chunks, decompressed, and records outside of chunks, messages together."""
         size, crc = os.fstat(self._stream.fileno()).st_size, zlib.crc32(MCAP0_MAGIC)
-        opcode, data_ended = None, False
-        while opcode != Opcode.FOOTER:
-            head, left = self._stream.read(HEAD.size), size - self._place
+        loose, opcode = b'', None
+        while opcode != Opcode.DATA_END:
+            head, left = self._stream.read(HEAD.size), size - self.place
             opcode, length = HEAD.unpack(head) if len(head) == HEAD.size else (0, 0)
-            if not opcode or HEAD.size + length > left or length > _LARGEST_RECORD:
-                self._report('it ends early' if not any(head) else
-                             'it ends in the middle of a record, or its length is wrong', left)
-                return
+            if HEAD.size + length > left or length > _LARGEST_RECORD:
+                opcode = 0
+            if loose and (opcode != MESSAGE_OPCODE or len(loose) > _AT_ONCE):
+                yield loose
+                loose = b''
+            if not opcode:
+                raise ValueError('it ends in the middle of a record, or its length is wrong'
+                                 if any(head) else 'it ends early')
             content = self._stream.read(length)
-            yield opcode, content
-            if opcode == Opcode.DATA_END:
-                data_ended = True
+            if opcode == Opcode.CHUNK:
+                yield _decompress(_parse(ChunkRecord, content))
+            elif opcode == Opcode.DATA_END:
                 if content not in (bytes(4), crc.to_bytes(4, 'little')):
-                    self._report('the checksum of all data is wrong')
+                    raise ValueError('the checksum of all data is wrong')
+            elif opcode == Opcode.FOOTER:
+                raise ValueError('the record that ends its data is missing')
+            elif opcode != Opcode.MESSAGE_INDEX:
+                loose += head + content
             crc = zlib.crc32(content, zlib.crc32(head, crc))
-            self._place += HEAD.size + length
-        if not data_ended:
-            self._report('the record that ends its data, with their checksum, is missing')
-        elif self._place + len(MCAP0_MAGIC) != size:
-            self._report('there is something else after its end')
-        else:
-            try:
-                _read_summary(self._stream)
-            except _UNREADABLE as error:
-                self._report(_reason(error))
+            self.place += HEAD.size + length
 
-    def _report(self, damage, lost=0, place=None):
-        self.faults.append((self._place if place is None else place, damage))
-        self.lost += lost
-
-    def _inside(self, data, index, stored, begin):
-        """Yield what is in records, found by contents of MessageIndex records if they fit."""
-        messages = _indexed(data, index)
-        if messages is None:
-            left, place, places = _MOST_RECORDS + _RECORDS_PER_BYTE * stored, 0, []
-            try:
-                while place < len(data):
-                    left -= 1
-                    if not left:
-                        raise ValueError('a chunk has more records than its size allows')
-                    opcode, length = HEAD.unpack_from(data, place)
-                    end = place + HEAD.size + length
-                    if end > len(data) or opcode == _CHUNK_OPCODE or (
-                            opcode == MESSAGE_OPCODE and length < MESSAGE.size):
-                        raise ValueError('the records in a chunk are malformed')
-                    if opcode == MESSAGE_OPCODE:
-                        places.append(place)
-                    else:
-                        yield from self._record(opcode, data[place + HEAD.size:end])
-                    place = end
-            except _UNREADABLE as error:
-                self._report(_reason(error), stored, begin)
-            messages = _messages_at(np.array(places, dtype=np.int64), data)
-        known = np.isin(messages.heads['channel'], [*self._known[Channel]])
-        for channel in messages.heads['channel'][~known].tolist():
-            self._report(f'a message is of an unknown channel, {channel}', place=begin)
+    def _inside(self, data):
+        """Yield the records in a block; raise an error behind those before a malformed one."""
+        place, places, wrong = 0, [], None
+        try:
+            while place < len(data):
+                opcode, length = HEAD.unpack_from(data, place)
+                end = place + HEAD.size + length
+                if end > len(data) or opcode in (0, Opcode.CHUNK) or (
+                        opcode == MESSAGE_OPCODE and length < MESSAGE.size):
+                    raise ValueError('its records are malformed')
+                if opcode == MESSAGE_OPCODE:
+                    places.append(place)
+                else:
+                    yield from self._record(opcode, data[place + HEAD.size:end])
+                place = end
+        except _UNREADABLE as error:
+            wrong = error
+        starts = np.array(places, dtype=np.int64)
+        heads = np.ndarray(max(0, len(data) - _MESSAGE.itemsize + 1), _MESSAGE, data,
+                           strides=1)[starts]
+        known = np.isin(heads['channel'], [*self._channels])
         if known.any():
-            yield messages.those(known)._replace(resets=self._resets)
+            yield Messages(self._resets, data, heads, starts + HEAD.size
+                           + heads['length'].astype(np.int64)).those(known)
+        if not known.all():
+            raise ValueError(f'a message is of an unknown channel, {heads["channel"][~known][0]}')
+        if wrong:
+            raise wrong
 
     def _record(self, opcode, content):
         """Yield a record that is no message and no chunk, if a log needs it."""
@@ -402,43 +359,24 @@ class _Reader:
             self._resets += record.name == RESET
             if record.name != 'rosbag2' or self.profile != 'ros2':  # else it is made anew
                 yield record
-        elif opcode in (Opcode.SCHEMA, Opcode.CHANNEL):
-            record = _parse(Schema if opcode == Opcode.SCHEMA else Channel, content)
-            known = self._known[type(record)]
-            if record.id not in known:
-                known.add(record.id)
-                if opcode == Opcode.CHANNEL and record.schema_id not in self._known[Schema]:
-                    self._report(f'{record.topic[:80]!r} is of an unknown schema, '
-                                 f'{record.schema_id}, and is kept without')
-                    record.schema_id = 0
+        elif opcode == Opcode.SCHEMA:
+            record = _parse(Schema, content)
+            if record.id not in self._schemas:
+                self._schemas.add(record.id)
+                yield record
+        elif opcode == Opcode.CHANNEL:
+            record = _parse(Channel, content)
+            if record.schema_id not in self._schemas:
+                raise ValueError(f'{record.topic[:80]!r} is of an unknown schema')
+            if record.id not in self._channels:
+                self._channels.add(record.id)
                 yield record
         elif opcode == Opcode.HEADER:
             self.profile = _parse(Header, content).profile
-        elif opcode == Opcode.ATTACHMENT or opcode >= _FIRST_PRIVATE_OPCODE:
-            self.left_out += 1
 
 
 def _parse(kind, content):
     return kind.read(ReadDataStream(BytesIO(content)))
-
-
-def _indexed(data, index):
-    """Return the Messages of contents of MessageIndex records, None if these do not fit."""
-    # They have channel and size, then a time and a place for each message.
-    entries = b''.join(content[6:6 + (len(content) - 6) // 16 * 16] for content in index)
-    places = np.sort(np.frombuffer(entries, '<i8')[1::2])
-    if len(places) and 0 <= places[0] and places[-1] <= len(data) - _MESSAGE.itemsize:
-        found = _messages_at(places, data)
-        if np.array_equal(np.insert(found.ends, 0, 0), np.append(places, len(data))) and (
-                found.heads['opcode'] == MESSAGE_OPCODE).all() and (found.sizes >= 0).all():
-            return found
-    return None  # there is no index, or there are other records, too
-
-
-def _messages_at(places, data):
-    count = max(0, len(data) - _MESSAGE.itemsize + 1)  # of places where a head might be
-    heads = np.ndarray(count, _MESSAGE, data, strides=1)[places]
-    return Messages(0, data, heads, places + HEAD.size + heads['length'].astype(np.int64))
 
 
 def recover(file: Path | str, output: Path | str | None = None) -> str:
@@ -448,25 +386,18 @@ def recover(file: Path | str, output: Path | str | None = None) -> str:
     `file`, or the only one in a bag's folder, is not changed. `output` must not exist; by default
     it is beside `file`, with `_recovered` after its stem, and a number if that exists. Returns
     what was found, lost and written: nothing if the log is complete. Raises LogError if the file
-    is not a log or nothing in it is intact, or if `output` exists; OSError if the new file cannot
-    be written.
+    is not a log or nothing in it is intact; OSError if the new file cannot be written, or exists.
     """
     path = file_of(file)
     with _open(path) as stream:
         # The file is read twice, because most files are complete, and some are no logs.
-        reader, empty, in_sim_time = _Reader(stream), True, False
-        count, earliest, latest = 0, math.inf, 0
+        reader, empty, count, latest = _Reader(stream), True, 0, 0
         for record in reader.records():
             empty = False
             if isinstance(record, Messages):
-                times = record.heads['log_time']
-                count, earliest = count + len(times), min(earliest, int(times.min()))
-                latest = max(latest, int(times.max()))
-            elif isinstance(record, Metadata) and record.name == START:
-                in_sim_time = True
-        contents = f'{count} messages ' + (
-            f'until sim time {1e-9 * latest:.3f} s' if in_sim_time else
-            f'within {1e-9 * max(0, latest - earliest):.3f} s')
+                count += len(record.heads)
+                latest = max(latest, int(record.heads['log_time'].max()))
+        contents = f'{count} messages until log time {1e-9 * latest:.3f} s'
         if not reader.damage:
             return f'{printable(path)} is complete: {contents}; nothing is written'
         if empty:
@@ -474,28 +405,24 @@ def recover(file: Path | str, output: Path | str | None = None) -> str:
         stream.seek(len(MCAP0_MAGIC))
         new = _write(_Reader(stream).records(), reader.profile, Path(file), output)
         state = 'it is still being written' if _is_being_written(stream) else reader.damage
-    more = f' and {len(reader.faults) - 1} more' if len(reader.faults) > 1 else ''
-    lost = f'{reader.lost} bytes lost'
-    if reader.left_out:
-        lost += f', {reader.left_out} attachments or private records left out'
-    return f'{printable(path)}: {state}{more}; {contents}, {lost}; complete in {printable(new)}'
+        lost = os.fstat(stream.fileno()).st_size - reader.place
+    return (f'{printable(path)}: {state}; {contents}, {lost} bytes lost; '
+            f'complete in {printable(new)}')
 
 
 def _write(records, profile, path, output):
     """Write a new log; return its path."""
-    if output is None:
-        path = Path(f'{path.resolve()}.mcap') if path.is_dir() else path
-        path = path.with_stem(path.stem + '_recovered')
-        new = next(name for name in numbered(path) if not name.exists())
-    else:
-        new = Path(output)
-        if new.exists():
-            raise LogError(f'{printable(output)} exists: remove it or choose another --output')
+    path = Path(f'{path.resolve()}.mcap') if path.is_dir() else path
+    path = path.with_stem(path.stem + '_recovered')
+    new = Path(output or next(name for name in numbered(path) if not name.exists()))
     with whole_file(new, new=True) as part, open(part, 'wb') as stream:
         writer = Writer(stream, profile)
         for record in records:
             if isinstance(record, Messages):
-                writer.add_chunk(record.chunk())
+                chunk = Chunk()
+                for data, head in zip(record.serialized(), record.heads.tolist()):
+                    chunk.add(data, *head[2:])
+                writer.add_chunk(chunk)
             else:
                 writer.add(record)
         writer.finish(new.name)
