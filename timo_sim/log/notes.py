@@ -3,6 +3,7 @@
 
 """What a log says of its run: metadata, the messages of ~/scene, and texts that can be printed."""
 
+from collections.abc import Sequence
 from functools import cache
 from importlib.metadata import version
 import json
@@ -23,20 +24,15 @@ ENVIRONMENT = ('timo_sim', 'python', 'numpy', 'scipy', 'numba', 'machine', 'proc
 LOG_VERSION = 2  # of what rows hold, see doc/log.md; the first one is not noted
 
 
-def start_note(node: str, values: dict) -> dict[str, str]:
-    """Return the metadata for the start of a run of a node with these parameters."""
-    return {'node': node, 'parameters': _json(values), 'changed': _json(changed(values)),
-            **_environment()}
+def start_note(node: str, values: dict, channels: Sequence = ()) -> dict[str, str]:
+    """Return the metadata for the start of a run of a node with these parameters and channels."""
+    return {name: fact if isinstance(fact, str) else json.dumps(fact)
+            for name, fact in _facts(node, values, channels).items()}
 
 
 def change_note(step: int, values: dict) -> dict[str, str]:
     """Return the metadata for what was set while the node runs, as in `Recording.changes`."""
-    return {'step': str(step), 'values': _json(values)}
-
-
-def names_note(channels: list) -> dict[str, str]:
-    """Return the metadata for the names of topics before they were remapped."""
-    return {'topics': _json({channel.topic: channel.name for channel in channels})}
+    return {'step': str(step), 'values': json.dumps(_plain(values))}
 
 
 def scene_message(event: str, step: int, node: str, channels: list, values: dict,
@@ -48,13 +44,15 @@ def scene_message(event: str, step: int, node: str, channels: list, values: dict
     `values` are the node's parameters from this step on.
     """
     return pack(TEXT, {'data': json.dumps({
-        'event': event, 'step': step, 'set': _plain(given), 'node': node, **_environment(),
-        'topics': {channel.topic: channel.name for channel in channels},
-        'parameters': _plain(values)}, indent=1)})
+        'event': event, 'step': step, 'set': _plain(given), **_facts(node, values, channels)
+    }, indent=1)})
 
 
-def _json(values):
-    return json.dumps(_plain(values))
+def _facts(node, values, channels):
+    # Topics have here the names that they had before they were remapped.
+    return {'node': node, **_environment(), 'parameters': _plain(values),
+            'changed': _plain(changed(values)),
+            'topics': {channel.topic: channel.name for channel in channels}}
 
 
 def _plain(values):

@@ -13,11 +13,10 @@ from functools import cached_property
 from itertools import chain
 import json
 import math
-from operator import index, itemgetter
+from operator import index
 import os
 from pathlib import Path
 import shutil
-from struct import unpack_from
 from typing import Any
 
 import numpy as np
@@ -29,8 +28,8 @@ from timo_sim.log.rosbag2 import information, yaml_text
 from timo_sim.scene.files import whole_file
 from timo_sim.scene.parameters import frame_names, ParameterError, PARAMETERS
 from timo_sim.scene.scene import load_scene
-from timo_sim.topics.cdr import CdrError, form, layout
-from timo_sim.topics.commands import COMMANDS, LARGEST_COMMAND, RefusedError
+from timo_sim.topics.cdr import CdrError, form, layout, Reader
+from timo_sim.topics.commands import COMMANDS, RefusedError
 from timo_sim.topics.outputs import NANOSECONDS, outputs, title, with_angles
 
 _AT_ONCE = 4096  # messages that are converted to arrays together
@@ -481,6 +480,7 @@ class _Collector:
         self.command = _COMMANDS.get(name)
         self._columns = self.command.names if self.command else ()
         self._refused, self._waiting, self._parts = 0, [], []
+        self._reader = Reader(type_name)
 
     def add(self, messages):
         """Add Messages."""
@@ -522,24 +522,15 @@ class _Collector:
         """Return which of n messages are not refused, their stamps or 0 [ns], and their rows."""
         assert self.command
         kept, stamps, rows = [], [], []
-        size, alike, fixed = -1, itemgetter(0), None  # of the last layout
         for number, message in enumerate(data):
-            if len(message) > LARGEST_COMMAND:
-                raise CdrError(f'it has {len(message)} bytes')
-            if len(message) != size or alike(message) != fixed:
-                found, size = layout(self._type_name, message), len(message)
-                alike = itemgetter(*found.fixed)
-                fixed = alike(message)
-            numbers = [unpack_from('<d', message, place)[0] for place in found.doubles]
+            texts, lists, stamp = self._reader(message)
             try:
-                rows.append(self.command.row(found.texts, found.split(numbers), self._frames))
+                rows.append(self.command.row(texts, lists, self._frames))
             except RefusedError:
                 self._refused += 1
                 continue
             kept.append(number)
-            seconds, nanoseconds = unpack_from('<iI', message, found.stamps[0]) if (
-                found.stamps) else (0, 0)
-            stamps.append(NANOSECONDS * seconds + nanoseconds)
+            stamps.append(stamp)
         return (kept, np.array(stamps, dtype=np.int64),
                 np.array(rows, dtype=float).reshape(-1, len(self._columns)))
 

@@ -106,7 +106,7 @@ class Health:
         status = DiagnosticStatus(
             name=f'{self._node.get_fully_qualified_name().removeprefix("/")}: simulation',
             hardware_id='timo_sim', level=DiagnosticStatus.OK, message=state)
-        errors = [self._loop.diverged, self._log.error]
+        errors = [self._loop.diverged, self._log.trouble]
         warnings = [self._simulator.warning, *self._around,
                     grown and 'more ' + ', '.join(grown),
                     not {'overruns', 'dropped_time_s'}.isdisjoint(grown) and timing]

@@ -11,7 +11,7 @@ from typing import Any
 
 import numpy as np
 
-from timo_sim.ros.topics import Commands, LateOutlet, RunLog
+from timo_sim.ros.topics import Commands, RunLog
 from timo_sim.scene.parameters import MOST_STEPS, whole_ratio
 from timo_sim.simulation.loads import load_of_commands
 from timo_sim.simulation.simulator import Simulator
@@ -61,7 +61,7 @@ class Loop:
         # /clock first, then the states, which wake the controller, so that it reads the new time.
         self._outlets = sorted(outlets, key=lambda outlet: outlet.name != '/clock') if (
             self.gate.period) else outlets
-        self._late = [outlet for outlet in outlets if isinstance(outlet, LateOutlet)]
+        self._late = [outlet for outlet in outlets if outlet.delay]
         self._commanded = np.zeros(COMMANDED)
         self._shown_at = -math.inf  # wall time at which the state was published last [s]
 
@@ -215,7 +215,7 @@ class Loop:
         self._commands.clear(self._commanded)
         self.gate.restart(self.simulator.steps)
         for outlet in self._late:
-            outlet.drop()
+            outlet.under_way.clear()
         self.diverged = None
 
     def restart(self) -> None:

@@ -17,11 +17,11 @@ from rclpy.subscription import Subscription
 from std_srvs.srv import SetBool, Trigger
 
 from timo_sim.log.new_log import DESCRIPTION, description
-from timo_sim.log.notes import CHANGE, change_note, RESET, scene_message, start_note, TEXT
+from timo_sim.log.notes import CHANGE, change_note, RESET, scene_message, TEXT
 from timo_sim.ros.diagnostics import Health
 from timo_sim.ros.loop import Loop, StateError, sync_steps
 from timo_sim.ros.parameters import ParameterNode, steps_between_messages
-from timo_sim.ros.topics import Commands, LateOutlet, MotionOutlet, Outlet, RunLog
+from timo_sim.ros.topics import Commands, MotionOutlet, Outlet, RunLog
 from timo_sim.runs.simulate import resolve
 from timo_sim.scene.parameters import (
     frame_names, LATEST, ParameterError, PARAMETERS, SCENE)
@@ -90,9 +90,8 @@ class SimNode(ParameterNode):
         for output in scene.outputs:
             if output.name == '/clock' and not self._values['publish_clock']:
                 continue
-            delay = output.delay and round(self._values[output.delay] / self._step)
-            outlets.append(LateOutlet(self, output, self.frames, delay) if delay else
-                           MotionOutlet(self, output, self.frames))
+            delay = round(self._values[output.delay] / self._step) if output.delay else 0
+            outlets.append(MotionOutlet(self, output, self.frames, delay=delay))
             outlets[-1].always_logged = not output.delay or self._values['record_sensors']
         try:
             outlets.append(MotionOutlet(self, TRANSFORMS, self.frames, self._values['publish_tf']))
@@ -118,7 +117,7 @@ class SimNode(ParameterNode):
         if self._values['record']:
             self._log.open(
                 self._values['record_file'], self._commands.channels, outlets,
-                start_note(self.get_fully_qualified_name(), self._values))
+                self.get_fully_qualified_name(), self._values)
         self._loop.check_subscribers()
         for outlet in self._scene_topic, self._description:
             outlet.check_subscribers()
@@ -162,7 +161,7 @@ class SimNode(ParameterNode):
         self._health.pass_on_warning()
         timing = self._loop.pace.report()
         report = f'simulated {self.steps * self._step:.6g} s in {wall_time:.3f} s; {timing}'
-        self._log.close({
+        self._log.complete({
             'timing': timing,
             'estimated_tip_error_m': f'{error:.3g}',
             'estimated_deflection_error_m': f'{self._simulator.estimated_deflection_error:.3g}',

@@ -21,11 +21,12 @@ from timo_sim.model.layout import (
     VOLTAGE)
 from timo_sim.ros.parameters import ParameterNode
 from timo_sim.ros.private import overrides, take
-from timo_sim.ros.topics import Commands, decode, message_class, MotionOutlet
+from timo_sim.ros.topics import Commands, message_class, MotionOutlet
 from timo_sim.scene.parameters import frame_names, Parameter, ParameterError, short
 from timo_sim.scene.scene import scene_from
 from timo_sim.simulation.loads import load_of_commands
 from timo_sim.simulation.warnings import DivergenceError
+from timo_sim.topics.cdr import CdrError, form, Reader
 from timo_sim.topics.commands import COMMANDED, RefusedError
 from timo_sim.topics.outputs import IMU, NANOSECONDS, outputs, SENSORS
 
@@ -80,9 +81,10 @@ class ObserverNode(ParameterNode):
                 raise ParameterError(f'{output.delay} must be 0 s for the node observer, which '
                                      'takes measurements as they come')
             kind = message_class(output.type_name)
+            places = dict(zip(output.columns, form(output.type_name, output.template)[2]))
             self._sources.append((
                 self.create_subscription(kind, output.name, lambda data: None, _QOS, raw=True),
-                kind, partial(self._measurement, sensors, kind, output.type_name)))
+                kind, partial(self._measurement, sensors, Reader(output.type_name), places)))
         shown = [output._replace(name=f'~/{output.name.removeprefix("~/")}')
                  for output in outputs(scene.modal_count) if output.name in _SHOWN]
         shown += [each._replace(name='~/tip_deviation',
@@ -114,7 +116,7 @@ class ObserverNode(ParameterNode):
                     self._sources[number][2](data)
                 except DivergenceError as error:
                     self._again(error)
-                except (ParameterError, RefusedError) as error:
+                except (CdrError, ParameterError, RefusedError) as error:
                     self.count_failure(error)
             time.sleep(_POLL)
         self.get_logger().info(f'measurements: {self._count}')
@@ -132,18 +134,17 @@ class ObserverNode(ParameterNode):
         inlet.receive(data, None)
         self._commands.apply(self._observer.simulator.steps, self._timeout, self._commanded)
 
-    def _measurement(self, sensors, kind, type_name, data):
-        message, shown = decode(data, kind, type_name), {}
+    def _measurement(self, sensors, read, places, data):
+        (_, *names), lists, stamp = read(data)
+        shown = {}
         for sensor in sensors:
             joint = sensor.joint or sensor.name
             if sensor.topic == IMU:
-                force, turning = message.linear_acceleration, message.angular_velocity
-                shown[sensor.name] = [turning.z] if sensor.name == 'gyro' else [force.x, force.y]
-            elif joint in message.name and len(message.position) == len(message.name):
-                shown[sensor.name] = [message.position[message.name.index(joint)]]
+                shown[sensor.name] = [lists[0][places[column]] for column in sensor.columns]
+            elif joint in names and len(lists[0]) == len(names):
+                shown[sensor.name] = [lists[0][names.index(joint)]]
             else:
                 raise RefusedError(f'{sensor.topic} must have a position of {joint}')
-        stamp = NANOSECONDS * message.header.stamp.sec + message.header.stamp.nanosec
         simulator = self._observer.simulator
         step = round(1e-9 * stamp / simulator.scene.step)
         if self._begun and abs(step - simulator.steps) * simulator.scene.step > _LONGEST_GAP:

@@ -8,7 +8,6 @@ from datetime import datetime
 from importlib import import_module
 import math
 import os
-from pathlib import Path
 import time
 from typing import Any
 
@@ -16,18 +15,16 @@ import numpy as np
 from rclpy.event_handler import PublisherEventCallbacks
 from rclpy.publisher import Publisher
 from rclpy.qos import DurabilityPolicy, QoSProfile
-from rclpy.serialization import deserialize_message, serialize_message
 from rclpy.subscription import Subscription
 
-from timo_sim.log.notes import names_note, START, SUMMARY
+from timo_sim.log.notes import START, start_note, SUMMARY
 from timo_sim.log.rosbag2 import DEPTH
 from timo_sim.log.write import Channel, Recorder
 from timo_sim.ros.private import take
 from timo_sim.simulation.snapshot import Snapshot
-from timo_sim.topics.cdr import Serializer
-from timo_sim.topics.commands import (
-    COMMANDS, GROUPS, JOINTS, LARGEST_COMMAND, RefusedError, TIMED_OUT)
-from timo_sim.topics.outputs import in_frames, NANOSECONDS
+from timo_sim.topics.cdr import CdrError, pack, Reader, Serializer
+from timo_sim.topics.commands import COMMANDS, GROUPS, JOINTS, RefusedError, TIMED_OUT
+from timo_sim.topics.outputs import in_frames
 
 _DISCOVERY_TIME = 10.0  # [s] of wall time in which a new subscriber discovers the publisher, too
 
@@ -99,86 +96,42 @@ class Outlet:
 
 
 class MotionOutlet(Outlet):
-    """The outlet of an Output with names of its FRAMES; it is published each `every` steps."""
+    """
+    The outlet of an Output with names of its FRAMES; it is published each `every` steps.
 
-    def __init__(self, node, output, frames, publishes=True):
+    The messages of a sensor are sent `delay` steps after the measurement. Header and step in the
+    log are those of the measurement; measuring a step again replaces what is `under_way`.
+    """
+
+    def __init__(self, node, output, frames, publishes=True, delay=0):
         super().__init__(node, output.name, output.type_name, publishes)
         self._serialize = Serializer(output.type_name, in_frames(output.template, frames))
         self._output, self.rate = output, output.rate
-        self.name, self.every = output.name, 1
+        self.name, self.every, self.delay = output.name, 1, delay
+        self.under_way: dict[int, bytes] = {}
 
     def publish(self, snapshot: Snapshot, again: bool = False) -> None:
-        """Send the message of a snapshot."""
-        self.send(self._message(snapshot), snapshot.step, snapshot.nanoseconds, again)
-
-    def _message(self, snapshot):
-        return self._serialize(snapshot.time, self._output.content(
+        """Send the message of a snapshot, or keep it until `deliver`."""
+        data = self._serialize(snapshot.time, self._output.content(
             snapshot, self._output.numbers(snapshot)))
-
-
-class LateOutlet(MotionOutlet):
-    """
-    The outlet of a sensor whose messages are sent `delay` steps after the measurement.
-
-    Header and step in the log are those of the measurement; measuring a step again replaces it.
-    """
-
-    def __init__(self, node, output, frames, delay):
-        super().__init__(node, output, frames)
-        self._delay, self._under_way = delay, {}
-
-    def publish(self, snapshot: Snapshot, again: bool = False) -> None:
-        """Measure."""
-        self._under_way[snapshot.step] = self._message(snapshot)
+        if self.delay:
+            self.under_way[snapshot.step] = data
+        else:
+            self.send(data, snapshot.step, snapshot.nanoseconds, again)
 
     @property
     def arrival(self) -> float:
         """The step at which the next message is due, or infinity."""
-        return next(iter(self._under_way), math.inf) + self._delay
+        return next(iter(self.under_way), math.inf) + self.delay
 
     def deliver(self, step: int, nanoseconds: int) -> None:
         """Send the messages that are due until a step, at this sim time [ns]."""
         while self.arrival <= step:
-            measured = next(iter(self._under_way))
-            self.send(self._under_way.pop(measured), measured, nanoseconds)
-
-    def drop(self) -> None:
-        """Drop the messages that are not due yet."""
-        self._under_way.clear()
+            measured = next(iter(self.under_way))
+            self.send(self.under_way.pop(measured), measured, nanoseconds)
 
 
-def _wrench(message):
-    force, torque = message.wrench.force, message.wrench.torque
-    return [message.header.frame_id], [
-        (force.x, force.y, force.z, torque.x, torque.y, torque.z)]
-
-
-def _joints(message):
-    return [message.header.frame_id, *message.name], [
-        message.position, message.velocity, message.effort]
-
-
-# By type of a command: the function that returns texts and lists of numbers of a message.
-# `topics.cdr` could do this, too, but would need 20 ms for a hostile message of 64 kB.
-_READ = {
-    'geometry_msgs/msg/Vector3Stamped': lambda message: (
-        [message.header.frame_id], [(message.vector.x, message.vector.y, message.vector.z)]),
-    'geometry_msgs/msg/WrenchStamped': _wrench,
-    'std_msgs/msg/Float64': lambda message: ([], [(message.data,)]),
-    'sensor_msgs/msg/JointState': _joints,
-    'std_msgs/msg/Float64MultiArray': lambda message: ([], [message.data]),
-}
 _WRENCH = 'force.x', 'force.y', 'force.z', 'torque.x', 'torque.y', 'torque.z'
-
-
-def decode(data: bytes, kind: type, type_name: str) -> Any:
-    """Return a message; RefusedError if it is none of this type, or a huge one."""
-    if len(data) > LARGEST_COMMAND:
-        raise RefusedError(f'it has {len(data)} bytes, more than {LARGEST_COMMAND}')
-    try:
-        return deserialize_message(data, kind)
-    except RuntimeError:  # rclpy's error for bytes that are no such message
-        raise RefusedError(f'it is not a serialised {type_name}') from None
 
 
 class Inlet:
@@ -192,7 +145,7 @@ class Inlet:
 
     def __init__(self, node, command, frames):
         self.command, self._frames = command, frames
-        self.type = message_class(command.type_name)
+        self.type, self._read = message_class(command.type_name), Reader(command.type_name)
         # A logger for each topic, so that the warnings of each are throttled separately.
         self.logger = node.get_logger().get_child(command.name.removeprefix('~/'))
         self.subscription = node.create_subscription(
@@ -205,26 +158,24 @@ class Inlet:
     def receive(self, data: bytes, answered: int | None) -> bool:
         """Make a message pending, unless it is refused; return whether it is now."""
         try:
-            message = decode(data, self.type, self.command.type_name)
-            texts, lists = _READ[self.command.type_name](message)
+            texts, lists, stamp = self._read(data)
             row = self.command.row(texts, lists, self._frames)
-        except RefusedError as reason:
+        except (CdrError, RefusedError) as reason:
             self.refused += 1
             self.logger.warning(
                 f'command refused, {reason}; the last one stays in force',
                 throttle_duration_sec=5.0)
             return False
-        time = message.header.stamp if hasattr(message, 'header') else None
-        stamp = time and NANOSECONDS * time.sec + time.nanosec
         if stamp and answered is not None and stamp != answered:
             self.mismatched += 1
             self.logger.warning(
                 f'command dropped, its stamp is {stamp} ns, that of the state {answered} ns; '
                 'with sync: wait a controller copies that of joint_states', once=True)
             return False
-        foreign = [name for name in texts[1:] if name not in JOINTS]
+        names = texts[1:] if self.command.name == '~/joint_command' else []
+        foreign = [name for name in names if name not in JOINTS]
         self.foreign += len(foreign)
-        if foreign and foreign == [*texts[1:]]:
+        if foreign and foreign == names:
             self.logger.warning(f'no effect: {foreign[0][:40]!r} is none of {JOINTS}', once=True)
         ignored = [_WRENCH[place] for place in self.command.unused if lists[0][place]]
         if ignored:
@@ -297,7 +248,7 @@ class Commands:
                         throttle_duration_sec=5.0)
                     commanded[GROUPS[key]] = 0.0
                     index = TIMED_OUT[key]
-                    started.append((index, serialize_message(self.inlets[index].type())))
+                    started.append((index, pack(self.inlets[index].command.type_name, {})))
         return started
 
     def end(self, timeout_steps: float) -> list[float]:
@@ -313,21 +264,20 @@ class Commands:
             inlet.pending = None
 
 
-class RunLog:
-    """The log of a run, if it is open; `error` is the last one of it, also sent to the logger."""
+class RunLog(Recorder):
+    """The log of a run, once it is open; `trouble` is what the logger was told last about it."""
+
+    path: Any = None
+    error: str | None = ''  # until it is open: nothing is written
+    warning: str | None = None
 
     def __init__(self, logger):
-        self._logger, self._recorder, self.error = logger, None, None
-
-    @property
-    def path(self) -> Path | None:
-        """Path of the log, or None without one."""
-        return self._recorder and self._recorder.path
+        self._logger, self.trouble = logger, None
 
     def open(self, path: str, channels: list[Channel], outlets: Sequence[Outlet],
-             note: dict[str, str]) -> None:
+             node: str, values: dict[str, Any]) -> None:
         """
-        Begin a log with a note, a dictionary; without a path its name has date and time.
+        Begin a log of a node with these values; without a path its name has date and time.
 
         Messages of `channels` are given to `write`; outlets write to it by themselves from now on.
         """
@@ -335,37 +285,26 @@ class RunLog:
         path = os.path.expanduser(path or f'timo_sim_{datetime.now():%Y%m%d_%H%M%S}.mcap')
         logged = [*channels, *(outlet.channel for outlet in outlets)]
         try:
-            self._recorder = Recorder(path, logged, {START: {**note, **names_note(logged)}})
+            super().__init__(path, logged, {START: start_note(node, values, logged)})
         except (OSError, ValueError) as error:  # ValueError: a path without a name
-            self._fail(f'no log is written to {path}: {error}')
+            self.path, self.error = None, ''
+            self._tell(f'no log is written to {path}: {error}')
             return
         for index, outlet in enumerate(outlets, start=len(channels)):
-            outlet.recorder, outlet.index = self._recorder, index
-
-    def write(self, index: int, step: int, nanoseconds: int, data: bytes) -> None:
-        """Log a serialised message of the channel with this index, at a sim time [ns]."""
-        if self._recorder is not None:
-            self._recorder.write(index, step, nanoseconds, data)
-
-    def note(self, name: str, values: dict[str, str]) -> None:
-        """Log a metadata record: a name, and a dictionary of str."""
-        if self._recorder is not None:
-            self._recorder.note(name, values)
+            outlet.recorder, outlet.index = self, index
 
     def check(self) -> None:
-        """Ask the recorder whether the log has ended early or was moved."""
-        if self._recorder is not None:
-            error = self._recorder.error and f'the log ends early: {self._recorder.error}'
-            if (error or self._recorder.warning) not in (None, self.error):
-                self._fail(error or self._recorder.warning)
+        """Tell the logger if the log has ended early or was moved."""
+        self._tell(self.error and f'the log ends early: {self.error}' or self.warning)
 
-    def close(self, summary: dict[str, str]) -> None:
+    def complete(self, summary: dict[str, str]) -> None:
         """End the log with a summary of the run, a dictionary of str."""
-        if self._recorder is not None:
-            self._recorder.note(SUMMARY, summary)
-            self._recorder.close()
+        if self.path:
+            self.note(SUMMARY, summary)
+            self.close()
             self.check()
 
-    def _fail(self, error):
-        self.error = error
-        self._logger.error(error)
+    def _tell(self, trouble):
+        if trouble not in (None, self.trouble):
+            self.trouble = trouble
+            self._logger.error(trouble)

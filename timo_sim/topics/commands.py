@@ -24,7 +24,6 @@ COMMANDED, ALONG_TIP, ACROSS_TIP = len(_COMMANDED), LOADS, LOADS + 1
 GROUPS = {name: [column for column, each in enumerate(_COMMANDED) if each.group == name]
           for name in dict.fromkeys(each.group for each in _COMMANDED) if name}
 JOINTS = 'carrier_x', 'carrier_y', 'shaft'
-LARGEST_COMMAND = 65536  # [B] of a command that is accepted; ordinary ones have some hundreds
 
 
 class RefusedError(ValueError):
@@ -97,9 +96,8 @@ class Command(NamedTuple):
     """
     A command topic.
 
-    Live messages and logged bytes are both reduced to their texts and their lists of numbers, so
-    that one function reads a command in both: `load` takes these and the names of frames, and
-    returns the values of each group of inputs that the message sets, or raises RefusedError.
+    `load` takes the texts and the lists of numbers of a message, see `cdr.Content`, and the names
+    of frames, and returns the values of each group of inputs that it sets, or raises RefusedError.
     """
 
     name: str
