@@ -33,7 +33,7 @@ from mcap.writer import LIBRARY_IDENTIFIER, MCAP0_MAGIC
 
 from timo_sim.log.rosbag2 import DEPTH, information, offered_qos, yaml_text
 from timo_sim.scene.files import check_target
-from timo_sim.topics.cdr import schema_text, TYPE_HASHES
+from timo_sim.topics.cdr import schema_text
 
 HEAD = struct.Struct('<BQ')       # of a record: opcode, and length of the content
 MESSAGE = struct.Struct('<HIQQ')  # channel, sequence number, log time, publish time; data follow
@@ -195,10 +195,8 @@ class Recorder:
         records += [
             ChannelRecord(id=number, topic=channel.topic, message_encoding='cdr',
                           schema_id=types.index(channel.type_name) + 1,
-                          metadata={
-                              'offered_qos_profiles': offered_qos(
-                                  channel.depth, channel.reliability, channel.durability),
-                              'topic_type_hash': TYPE_HASHES[channel.type_name]})
+                          metadata={'offered_qos_profiles': offered_qos(
+                              channel.depth, channel.reliability, channel.durability)})
             for number, channel in enumerate(channels, start=1)]
         records += [Metadata(name=name, metadata=values) for name, values in notes.items()]
         self.path, self._file = create(Path(path))

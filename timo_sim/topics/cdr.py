@@ -53,32 +53,6 @@ DEFINITIONS = {
     'tf2_msgs/msg/TFMessage': ('geometry_msgs/TransformStamped[] transforms',),
 }
 
-# REP-2011 hashes of the types that topics have; a log states them beside each topic.
-TYPE_HASHES = {
-    'diagnostic_msgs/msg/DiagnosticArray':
-        'RIHS01_5a8a36efb05fb25070fa0fb3810290c0e6cd4862b54a8fb975a1ee8dc55a333e',
-    'geometry_msgs/msg/PoseStamped':
-        'RIHS01_10f3786d7d40fd2b54367835614bff85d4ad3b5dab62bf8bca0cc232d73b4cd8',
-    'geometry_msgs/msg/Vector3Stamped':
-        'RIHS01_d4829622288cbb443886e7ea94ea5671a3b1be6bab4ad04224432a65f7d7887a',
-    'geometry_msgs/msg/WrenchStamped':
-        'RIHS01_8dc3deaf06b2ab281f9f9a742a8961c328ca7cec16e3fd6586d3a5c83fa78f77',
-    'rosgraph_msgs/msg/Clock':
-        'RIHS01_692f7a66e93a3c83e71765d033b60349ba68023a8c689a79e48078bcb5c58564',
-    'sensor_msgs/msg/Imu':
-        'RIHS01_7d9a00ff131080897a5ec7e26e315954b8eae3353c3f995c55faf71574000b5b',
-    'sensor_msgs/msg/JointState':
-        'RIHS01_a13ee3a330e346c9d87b5aa18d24e11690752bd33a0350f11c5882bc9179260e',
-    'std_msgs/msg/Float64':
-        'RIHS01_705ba9c3d1a09df43737eb67095534de36fd426c0587779bda2bc51fe790182a',
-    'std_msgs/msg/Float64MultiArray':
-        'RIHS01_1025ddc6b9552d191f89ef1a8d2f60f3d373e28b283d8891ddcc974e8c55397f',
-    'std_msgs/msg/String':
-        'RIHS01_df668c740482bbd48fb39d76a70dfd4bd59db1288021743503259e948f6b1a18',
-    'tf2_msgs/msg/TFMessage':
-        'RIHS01_e369d0f05a23ae52508854b66f6aa0437f3449d652e8cbf22d5abe85d020f087',
-}
-
 _FIELD = re.compile(r'([\w/]+)(\[\d*\])? (\w+)(?: (\S+))?')
 
 
