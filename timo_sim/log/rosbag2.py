@@ -34,24 +34,12 @@ def offered_qos(depth: int, reliability: str, durability: str) -> str:
         'avoid_ros_namespace_conventions': False}])
 
 
-# Names of QoS policies by their numbers in rmw, which bags of Humble and Iron have.
-_POLICIES = {
-    'history': ('system_default', 'keep_last', 'keep_all', 'unknown'),
-    'reliability': ('system_default', 'reliable', 'best_effort', 'unknown', 'best_available'),
-    'durability': ('system_default', 'transient_local', 'volatile', 'unknown', 'best_available'),
-    'liveliness': ('system_default', 'automatic', 'manual_by_node', 'manual_by_topic', 'unknown',
-                   'best_available')}
-
-
 def _qos_of(channel):
-    """Return the QoS of a channel with names of policies; none if it cannot be read."""
+    """Return the QoS of a channel; none if it has numbers, as of Humble, or cannot be read."""
     text = channel.metadata.get('offered_qos_profiles', '')
     try:
-        profiles = yaml.safe_load(text if '&' not in text else '') or []  # & would expand
-        return [{policy: _POLICIES[policy][value] if policy in _POLICIES and (
-            isinstance(value, int)) else value for policy, value in profile.items()}
-            for profile in profiles]
-    except (yaml.YAMLError, RecursionError, ValueError, IndexError, AttributeError, TypeError):
+        return yaml.safe_load(text) if 'history: keep' in text and '&' not in text else []
+    except (yaml.YAMLError, RecursionError, ValueError):
         return []
 
 
