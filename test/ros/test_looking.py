@@ -165,20 +165,21 @@ def test_the_terminal_is_as_it_was_whatever_ends_it(client, terminal):
         assert keys.end(act) == (code, True), name
 
 
-SENT = {'motor_torque': (['-1.5'], [-1.5, 0]),
-        'commands': (['1', '2', '-3e-1'], [1, 2, 0, 0, -0.3, 0]),
-        'tip_wrench': (['.5', 'torque.z=2', 'frame_id=arm'], [0, 0, 0.5, 0, 2, 0, 0]),
-        'carrier_acceleration': (['y=-2'], [0, -2]),
-        'joint_command': (['shaft=4'], 4 * [np.nan] + [4, 0])}
+SENT = {'motor_torque': ('-1.5', [-1.5, 0]),
+        'commands': ('[1, 2, -0.3]', [1, 2, 0, 0, -0.3, 0]),
+        'tip_wrench': ('{header: {frame_id: arm}, wrench: {force: {x: 0.5}, torque: {z: 2}}}',
+                       [0, 0, 0.5, 0, 2, 0, 0]),
+        'carrier_acceleration': ('{vector: {y: -2}}', [0, -2]),
+        'joint_command': ('{name: [shaft], effort: [4]}', 4 * [np.nan] + [4, 0])}
 
 
 def test_a_command_is_sent_and_acknowledged_or_it_is_said_that_nobody_listens(start):
     node = start()
     said = {name: subprocess.Popen(
-        [sys.executable, '-m', 'timo_sim', 'send', name, *words], text=True,
-        stdout=subprocess.PIPE, stderr=subprocess.STDOUT) for name, words in [
-            *((name, [*words, '--wait', str(PATIENCE)]) for name, (words, _) in SENT.items()),
-            ('motor_voltage', ['1', '--wait', '0'])]}
+        [sys.executable, '-m', 'timo_sim', 'send', name, message, '--wait', str(patience)],
+        text=True, stdout=subprocess.PIPE, stderr=subprocess.STDOUT) for name, message, patience in
+        [*((name, message, PATIENCE) for name, (message, _) in SENT.items()),
+         ('motor_voltage', '1', 0)]}
     told = {name: (each.communicate()[0], each.returncode) for name, each in said.items()}
     words, code = told.pop('motor_voltage')  # this motor has none
     assert code == 1 and '/timo_sim/motor_voltage has no subscriber' in words
@@ -189,18 +190,19 @@ def test_a_command_is_sent_and_acknowledged_or_it_is_said_that_nobody_listens(st
         assert np.array_equal(topics[f'~/{name}'].values, [values], equal_nan=True), name
 
 
-@pytest.mark.parametrize('line, words', [
-    ('torque 1', 'TOPIC must be one of carrier_wrench, .* motor_voltage, got .torque.'),
-    ('motor_torque', 'motor_torque needs a value for data'),
-    ('commands 1 2', 'commands needs a value for shaft'),
-    ('carrier_wrench frame_id=arm', 'carrier_wrench needs a value for force.x or force.y'),
-    ('motor_torque nan', "data of motor_torque must be a finite number, got 'nan'"),
-    ('motor_torque 1 2', 'motor_torque has the fields data, once each, got 2'),
-    ('tip_wrench force.z=1', 'has the fields force.x, force.y, torque.z, frame_id, once'),
-    ('joint_command shaft=1 shaft=2', 'carrier_x, carrier_y, shaft, once each, got shaft=2'),
-    ('motor_torque 1 /a b', "--node must be the full name of a node, got '/a b'")])
-def test_a_wrong_command_is_answered_by_the_names_of_what_is_right(line, words):
-    topic, *values = line.partition(' /')[0].split()
-    node = line[line.index(' /') + 1:] if ' /' in line else '/timo_sim'
-    with pytest.raises(ValueError, match=words):
-        send(topic, values, node, 0.0)
+@pytest.mark.parametrize('topic, message, words', [
+    ('torque', '1', 'TOPIC must be one of carrier_wrench, .* motor_voltage, got .torque.'),
+    ('commands', '[1, 2]', 'got .*: data must have 3 elements, for carrier_x, .* got 2'),
+    ('motor_torque', '.nan', 'takes a std_msgs/msg/Float64, in YAML .*: data must be finite'),
+    ('motor_torque', '[1]', 'takes a std_msgs/msg/Float64, in YAML'),
+    ('carrier_wrench', '{force: {x: 1}}', 'WrenchStamped has no field force'),
+    ('tip_wrench', '{header: 1}', 'takes a geometry_msgs/msg/WrenchStamped, in YAML'),
+    ('joint_command', '{name: [shaft, shaft], effort: [1, 2]}', 'hold joints, once each')])
+def test_a_wrong_command_is_answered_by_what_is_right(topic, message, words):
+    with pytest.raises(timo_sim.ParameterError, match=words):
+        send(topic, message, '/timo_sim', 0.0)
+
+
+def test_a_command_is_sent_to_a_full_name_alone():
+    with pytest.raises(timo_sim.ParameterError, match="full name of a node, got '/a b'"):
+        send('motor_torque', '1', '/a b', 0.0)

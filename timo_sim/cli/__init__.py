@@ -632,24 +632,24 @@ def ringdown(record: str, column: str | None, mapping: str | None, start: float 
 
 @main.command(context_settings={'ignore_unknown_options': True})  # a negative number is a value
 @click.argument('topic')
-@click.argument('values', nargs=-1, metavar='VALUE...')
+@click.argument('message')
 @click.option('--node', default='/timo_sim', show_default=True, help='Full name of the node.')
 @click.option('--wait', type=click.FloatRange(min=0.0, max=3600.0), default=10.0,
               show_default=True, help='How long to wait for the node [s].')
-def send(topic: str, values: tuple[str, ...], node: str, wait: float) -> None:
+def send(topic: str, message: str, node: str, wait: float) -> None:
     r"""
     Send one command to a running node.
 
     \b
         timo_sim send motor_torque 1.0
-        timo_sim send carrier_wrench force.y=-5 frame_id=arm
-        timo_sim send joint_command shaft=1.0
+        timo_sim send carrier_wrench '{header: {frame_id: arm}, wrench: {force: {y: -5}}}'
+        timo_sim send joint_command '{name: [shaft], effort: [1.0]}'
 
-    TOPIC is the name of a command topic of the node; a wrong one lists them all. A VALUE is that
-    of its next field [N, N m, V], or FIELD=VALUE; a wrong one lists the fields.
+    TOPIC is the name of a command topic of the node; a wrong one lists them all. MESSAGE is in
+    YAML, as of ros2 topic pub, or its field data alone [N, N m, V].
     """
     from timo_sim.ros.send import send
-    click.echo(send(topic, values, node, wait))
+    click.echo(send(topic, message, node, wait))
 
 
 @main.command()
