@@ -397,7 +397,7 @@ def test_a_new_scene_is_an_arm_on_a_bench(tmp_path):
         assert getattr(scene.manipulator, name) != getattr(default, name)
     assert scene.values['carrier.held'] == 'both'
     written = path.read_text()
-    assert 'exists' in call('new', path, code=1) and path.read_text() == written
+    assert 'exists' in call('new', path, code=2) and path.read_text() == written
 
 
 def test_files_that_are_wrong_or_made_to_break_their_reader(tmp_path):

@@ -30,7 +30,7 @@ if TYPE_CHECKING:
     from timo_sim.scene.scene import Scene
 
 # Errors by name, because most of their modules are not imported here.
-_WRONG_INPUT = 'FileNotFoundError', 'LogError', 'ParameterError'
+_WRONG_INPUT = 'FileExistsError', 'FileNotFoundError', 'LogError', 'ParameterError'
 
 
 def _show_warning(message, category, filename, lineno, file=None, line=None):
@@ -537,8 +537,8 @@ def fit(records: tuple[str, ...], scene: str | None, free: tuple[str, ...],
     far is reported and written; 2 bad input.
     """
     from timo_sim.fitting.result import fit, read_scene_and_records
-    from timo_sim.scene.files import scene_text, whole_file
-    from timo_sim.scene.parameters import ModelWarning, ParameterError
+    from timo_sim.scene.files import check_new, scene_text, whole_file
+    from timo_sim.scene.parameters import ModelWarning
     from timo_sim.scene.scene import load_scene, Scene
     _require(matplotlib=png)
 
@@ -551,8 +551,8 @@ def fit(records: tuple[str, ...], scene: str | None, free: tuple[str, ...],
     for path in filter(None, (output, png)):  # before minutes are spent
         if not Path(path).absolute().parent.is_dir():
             raise FileNotFoundError(f'{path} cannot be written: its folder does not exist')
-    if output and Path(output).exists():
-        raise ParameterError(f'{output} exists: remove it or choose another name')
+    if output:
+        check_new(output)
     changes, ends = parse_settings(settings), _parse_bounds(bounds)
     guess, measured, held = read_scene_and_records(
         scene, records, mapping[0] if len(mapping) == 1 else [*mapping] or None,

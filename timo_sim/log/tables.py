@@ -25,7 +25,7 @@ from timo_sim.extras import optional
 from timo_sim.log.notes import original_names, printable, TEXT
 from timo_sim.log.read import files_of, LogError, LogFile
 from timo_sim.log.rosbag2 import information, yaml_text
-from timo_sim.scene.files import whole_file
+from timo_sim.scene.files import check_new, whole_file
 from timo_sim.scene.parameters import frame_names, ParameterError, PARAMETERS
 from timo_sim.scene.scene import load_scene
 from timo_sim.topics.cdr import CdrError, form, layout, Reader
@@ -575,7 +575,7 @@ def export(file: Path | str, output: Path | str, topic: str | None = None,
     There is one row for each message of joint_states, with the messages of the other topics that
     have the same stamp (NaN if missing), or of `topic` alone, such as '~/motor_torque'. Raises
     LogError if `file`, of which `node` is as for `Recording`, is not a log or lacks the topic, or
-    `output` exists or has another suffix.
+    `output` has another suffix; FileExistsError if it exists.
     """
     path = Path(output)
     check_table(path)
@@ -589,7 +589,7 @@ def export(file: Path | str, output: Path | str, topic: str | None = None,
 
 
 def write_table(columns: dict[str, np.ndarray], path: Path) -> None:
-    """Write columns by name to a path; raise LogError unless it is new, and *.parquet or *.csv."""
+    """Write columns by name to a path; raises as `check_table`."""
     check_table(path)
     with whole_file(path, new=True) as part:
         if path.suffix == '.parquet':
@@ -611,15 +611,10 @@ def write_table(columns: dict[str, np.ndarray], path: Path) -> None:
 
 
 def check_table(path: Path, also: str = '') -> None:
-    """Raise LogError unless a path is new, and *.parquet or *.csv; the message names `also`."""
+    """Raise FileExistsError unless a path is new, LogError unless it is *.parquet or *.csv."""
     if path.suffix not in ('.parquet', '.csv'):
         raise LogError(f'{printable(path)} must end with {also}.parquet or .csv')
-    _check_new(path)
-
-
-def _check_new(path):
-    if path.exists():
-        raise LogError(f'{printable(path)} exists: remove it or choose another name')
+    check_new(path)
 
 
 def column_names(topic: str, columns: Iterable[str]) -> list[str]:
@@ -659,7 +654,6 @@ def export_bag(file: Path | str, output: Path | str) -> str:
     folder, log = Path(output), LogFile(file)
     name = f'{folder.name}_0.mcap'  # `ros2 bag reindex` takes no other name
     content = information(log.summary, name)
-    _check_new(folder)
     folder.parent.mkdir(parents=True, exist_ok=True)
     with whole_file(folder, new=True) as part:
         part.mkdir()

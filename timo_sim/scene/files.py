@@ -37,9 +37,9 @@ def whole_file(path: Path | str, new: bool = False) -> Iterator[Path]:
     If writing fails or is interrupted, an older file stays as it was, and no part of the new one
     is left. With `new`, an older file is a FileExistsError.
     """
+    if new:
+        check_new(path)
     path = Path(os.path.realpath(path))  # the target of a symbolic link
-    if new and path.exists():  # also a pipe, which nobody may read
-        raise FileExistsError(f'{path} exists: remove it or choose another name')
     if not new and path.exists() and not path.is_file():  # such as /dev/null
         yield path
         return
@@ -50,9 +50,15 @@ def whole_file(path: Path | str, new: bool = False) -> Iterator[Path]:
     with folder as name:
         part = Path(name, path.name)
         yield part
-        if new and path.exists():
-            raise FileExistsError(f'{path} exists: remove it or choose another name')
+        if new:
+            check_new(path)
         part.replace(path)
+
+
+def check_new(path: Path | str) -> None:
+    """Raise FileExistsError if there is a file at a path, also a pipe, or a folder."""
+    if Path(path).exists():
+        raise FileExistsError(f'{path} exists: remove it or choose another name')
 
 
 def check_target(path: Path) -> None:
