@@ -108,6 +108,9 @@ def _check_gif(context, option, path):
 _gif = click.option('--gif', type=_FILE, metavar='OUT.gif', callback=_check_gif,
                     help='Animation to write: the arm in the plane, and how its tip bends.')
 _node = click.option('--node', metavar='NAME', help='Full name of the node, if a bag has several.')
+_estimate = click.option('--estimate/--no-estimate', default=True, show_default=True, help=(
+    'Measure the error of the tip by a finer run; doc/scene.md says what it costs.'))
+_png = partial(click.option, '--png', type=_FILE, metavar='OUT.png')
 
 
 def _takes_scene(command: Callable) -> Callable:
@@ -227,9 +230,7 @@ def export_c(scene: Scene, output: str, target: str, estimate: bool, name: str) 
               help='FMU to write; an older one is replaced.')
 @click.option('--fmi', type=click.Choice(['2', '3']), default='3', show_default=True,
               help='Version of FMI: 2.0 or 3.0.')
-@click.option('--estimate/--no-estimate', default=True, show_default=True, help=(
-    'Advance a finer run beside, for the output estimated_tip_error_m; doc/scene.md says what '
-    'it costs.'))
+@_estimate
 @click.option('--target', default='host', show_default=True, metavar='NAME', help=(
     'Processor that runs it: host (this one), x86-64-v2 or x86-64-v3 (many).'))
 def export_fmu(scene: Scene, output: str, fmi: str, estimate: bool, target: str) -> None:
@@ -252,8 +253,7 @@ def export_fmu(scene: Scene, output: str, fmi: str, estimate: bool, target: str)
 @_settings
 @click.option('--output', '-o', type=_FILE, required=True, metavar='FILE.html',
               help='Page to write; an older one is replaced.')
-@click.option('--estimate/--no-estimate', default=True, show_default=True,
-              help='Advance a finer run beside, which measures the error of the tip.')
+@_estimate
 def export_web(scenes: tuple[str, ...], settings: tuple[str, ...], output: str,
                estimate: bool) -> None:
     r"""
@@ -292,8 +292,7 @@ def info(file: str) -> None:
 @click.argument('more', nargs=-1, type=float, metavar='[RAD/S]...')
 @click.option('--speed', multiple=True, type=float, metavar='RAD/S [RAD/S]...', help=(
     'Speeds at which the shaft is turned steadily, with the carrier held.'))
-@click.option('--png', type=_FILE, metavar='OUT.png',
-              help='Picture to write: shapes; with --speed the Campbell diagram.')
+@_png(help='Picture to write: shapes; with --speed the Campbell diagram.')
 @_CONTACT
 def modes(scene: Scene, more: tuple[float, ...], speed: tuple[float, ...],
           png: str | None, contact: str) -> None:
@@ -405,11 +404,9 @@ def replay(file: str, settings: tuple[str, ...], scene: str | None, output: str 
 @click.option('--rate', type=float, metavar='HZ', help=(
     'Samples per second of sim time; by default every step, of a long run every n-th one, '
     'for 20000 samples at most if some n divides the number of steps.'))
-@click.option('--estimate/--no-estimate', default=True, show_default=True,
-              help='Measure the error by a finer run.')
+@_estimate
 @click.option('--view', is_flag=True, help='Show the run in rerun.')
-@click.option('--png', type=_FILE, metavar='OUT.png',
-              help='Picture to write: curves over time, and the arm in the plane.')
+@_png(help='Picture to write: curves over time, and the arm in the plane.')
 @_gif
 @_deflection_scale
 def simulate(scene: Scene, duration: float, output: str | None, rate: float | None,
@@ -513,8 +510,7 @@ def sweep(file: str, output: str | None, workers: int | None, scheduler: str | N
               help='Or soft_l1, huber or cauchy, with which outliers weigh less.')
 @click.option('--output', '-o', type=_FILE, metavar='FITTED.yaml',
               help='Parameter file to write: the fitted scene.')
-@click.option('--png', type=_FILE, metavar='OUT.png',
-              help='Picture to write: measured and predicted outputs of all records.')
+@_png(help='Picture to write: measured and predicted outputs of all records.')
 def fit(records: tuple[str, ...], scene: str | None, free: tuple[str, ...],
         bounds: tuple[str, ...], settings: tuple[str, ...], mapping: tuple[str, ...],
         outputs: str | None, hold_out: float, hold_out_record: tuple[str, ...],
@@ -597,7 +593,7 @@ def fit(records: tuple[str, ...], scene: str | None, free: tuple[str, ...],
     'as *.yaml.'))
 @click.option('--output', '-o', type=_FILE, metavar='FILE', help=(
     'New file with the shaped move, *.csv, *.parquet or *.yaml; by default MOVE_shaped.'))
-@click.option('--png', type=_FILE, metavar='OUT.png', help='Picture to write: the ring-down.')
+@_png(help='Picture to write: the ring-down.')
 def ringdown(record: str, column: str | None, mapping: str | None, start: float | None,
              end: float | None, kind: str, modes: int, move: str | None, output: str | None,
              png: str | None) -> None:
@@ -685,8 +681,7 @@ def urdf(scene: str, settings: tuple[str, ...], library: str | None) -> None:
 @click.argument('files', nargs=-1, required=True, type=click.Path(exists=True))
 @click.option('--save', type=_FILE, metavar='OUT.rrd',
               help='Write a file for rerun instead of opening it.')
-@click.option('--png', type=_FILE, metavar='OUT.png',
-              help='Draw a picture instead, without a screen.')
+@_png(help='Draw a picture instead, without a screen.')
 @_gif
 @click.option('--at', type=float, metavar='SECONDS',
               help='Sim time of the picture of --png, and of a frame in the file of --save [s]; '
@@ -720,20 +715,17 @@ def view(files: tuple[str, ...], save: str | None, png: str | None, gif: str | N
     from timo_sim.runs.replay import run_of
     from timo_sim.view.track import track_of_run
 
-    def track(recording, name):
-        return track_of_run(run_of(recording), name, deflection_scale)
-
-    makers: dict[str, Callable] = {}
+    tracks: dict[str, Any] = {}
     for file in files:
         recording = Recording(file, node)
-        name = next(path.stem for path in numbered(recording.path) if path.stem not in makers)
-        makers[name] = partial(track, recording, name)
+        name = next(path.stem for path in numbered(recording.path) if path.stem not in tracks)
+        tracks[name] = track_of_run(run_of(recording), name, deflection_scale)
     if gif:
         from timo_sim.view.plot import animate
-        animate([maker() for maker in makers.values()], gif, fps)
+        animate([*tracks.values()], gif, fps)
     if in_rerun:
         from timo_sim.view.rerun import show_tracks
-        show_tracks([*makers.values()], save, png, at, web, fps)
+        show_tracks([*tracks.values()], save, png, at, web, fps)
     for path in filter(None, (save, png, gif)):
         click.echo(f'{path} is written')
 

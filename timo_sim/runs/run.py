@@ -274,7 +274,7 @@ class Run(MotionFields, PointsOfArm):
         with optional():
             from timo_sim.view.rerun import show_tracks
         from timo_sim.view.track import track_of_run
-        show_tracks([lambda: track_of_run(self, deflection_scale=deflection_scale)], web=web)
+        show_tracks([track_of_run(self, deflection_scale=deflection_scale)], web=web)
 
     def _outputs(self):
         # These topics follow from the motion alone; sensors need the simulator.

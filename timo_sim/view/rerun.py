@@ -3,7 +3,7 @@
 
 """Tracks in rerun: files and pictures, the viewer as a child process."""
 
-from collections.abc import Callable, Sequence
+from collections.abc import Sequence
 from contextlib import closing
 import os
 from pathlib import Path
@@ -19,7 +19,6 @@ import numpy as np
 import rerun as rr
 import rerun.blueprint as rrb
 import rerun_cli
-from tqdm import tqdm
 
 from timo_sim.scene.files import whole_file
 from timo_sim.scene.parameters import Parameter, ParameterError
@@ -86,38 +85,29 @@ def write(tracks: Sequence[Track], path: Path | str, fps: float = 30.0,
 
 
 def _send(stream, tracks, fps, at):
-    frames = [track.frames(fps, at) for track in tracks]
-    bounds = _extent(tracks, frames)
-    _log_plane(stream, bounds)
     stream.log(_ABOUT, rr.TextDocument(_about(tracks, fps), media_type='text/markdown'),
                static=True)
-    panels: dict[str, int] = {}
+    corners, panels = [], {}
     for run, track in enumerate(tracks):
-        entities = Entities(stream, track, run, len(tracks), bounds)
-        for part in _blocks(len(frames[run])):
-            picked = frames[run][part]
-            entities.send_poses(track.ns[picked], track.poses(picked))
+        entities, frames = _Entities(stream, track, run, len(tracks)), track.frames(fps, at)
+        for part in _blocks(len(frames)):
+            poses, margin = track.poses(frames[part]), 0.15 * track.body.length
+            entities.send_poses(track.ns[frames[part]], poses)
+            corners += [poses.line.min(axis=(0, 1)) - margin, poses.line.max(axis=(0, 1)) + margin]
         for trace in (*track.traces, *(_differences(track, tracks[0]) if run else ())):
             entities.send_curves(trace)
             panels[trace.panel] = len(trace.names)
+    low, high = np.min(corners, axis=0), np.max(corners, axis=0)
+    bounds = np.array([low - 0.05 * np.max(high - low), high])  # room for the numbers at the grid
+    _log_plane(stream, bounds)
+    for track in tracks:
+        _log_floor(stream, track, bounds)
     stream.send_blueprint(_blueprint(panels, bounds, len(tracks)))
     return bounds
 
 
 def _blocks(count):
     return [slice(k, min(k + _BLOCK, count)) for k in range(0, count, _BLOCK)]
-
-
-def _extent(tracks, frames):
-    """Return the corners of all that is drawn, with a margin, (2, 2) [m]."""
-    corners = []
-    for track, picked in zip(tracks, frames):
-        for part in _blocks(len(picked)):
-            points = track.poses(picked[part]).line.reshape(-1, 2)
-            corners += [points.min(axis=0) - 0.15 * track.body.length,
-                        points.max(axis=0) + 0.15 * track.body.length]
-    low, high = np.min(corners, axis=0), np.max(corners, axis=0)
-    return np.array([low - 0.05 * np.max(high - low), high])  # room for the numbers at the grid
 
 
 def _differences(track, first):
@@ -145,16 +135,10 @@ def _about(tracks, fps):
     return '\n'.join(lines)
 
 
-class Entities:
-    """
-    What a stream has of one run, number `run` of `runs`: its bodies in the plane, and its curves.
+class _Entities:
+    """What a stream has of a track, number `run` of `runs`: bodies in the plane, and curves."""
 
-    Of `track` only name, body and floor are used; `bounds` are the corners of the plane, (2, 2)
-    [m].
-    """
-
-    def __init__(self, stream: rr.RecordingStream, track: Track, run: int, runs: int,
-                 bounds: np.ndarray) -> None:
+    def __init__(self, stream: rr.RecordingStream, track: Track, run: int, runs: int) -> None:
         self._stream, self._name, self._run, self._runs = stream, track.name, run, runs
         self._body, self._path = track.body, f'{_PLANE}/{track.name}'
         self._trail: np.ndarray | None = None
@@ -171,13 +155,6 @@ class Entities:
         for order, (name, kind, colors, radii, more) in enumerate(styles):
             self._stream.log(f'{self._path}/{name}', kind.from_fields(
                 colors=colors, radii=radii, draw_order=float(order), **more), static=True)
-        if (floor := track.floor) is not None:
-            stream.log(f'{self._path}/floor', rr.LineStrips2D(
-                [floor.line(bounds)], colors=_TICKS, radii=points(1.0), draw_order=-5.0),
-                static=True)
-            stream.log(f'{self._path}/gravity', rr.Arrows2D(
-                origins=floor.arrow[:1], vectors=np.diff(floor.arrow, axis=0), colors=_TICKS,
-                radii=points(1.5), draw_order=-5.0), static=True)
 
     def _colour(self, curve=0):
         """Return the RGB colour of a curve: a shade for its run if there are several."""
@@ -214,6 +191,17 @@ class Entities:
                 path, [_time(trace.ns[part])],
                 rr.Scalars.columns(scalars=np.ravel(trace.values[part])).partition(
                     np.full(len(trace.ns[part]), len(names))))
+
+
+def _log_floor(stream, track, bounds):
+    """Log the Floor of a track, if there is one, and the direction of gravity."""
+    if (floor := track.floor) is not None:
+        stream.log(f'{_PLANE}/{track.name}/floor', rr.LineStrips2D(
+            [floor.line(bounds)], colors=_TICKS, radii=rr.Radius.ui_points(1.0), draw_order=-5.0),
+            static=True)
+        stream.log(f'{_PLANE}/{track.name}/gravity', rr.Arrows2D(
+            origins=floor.arrow[:1], vectors=np.diff(floor.arrow, axis=0), colors=_TICKS,
+            radii=rr.Radius.ui_points(1.5), draw_order=-5.0), static=True)
 
 
 def _log_plane(stream, bounds):
@@ -271,17 +259,15 @@ def _blueprint(panels, bounds, runs):
         rrb.BlueprintPanel(expanded=False), rrb.SelectionPanel(expanded=False))
 
 
-def show_tracks(makers: Sequence[Callable[[], Track]], save: str | None = None,
-                png: str | None = None, at: float | None = None, web: bool = False,
-                fps: float = 30.0) -> None:
+def show_tracks(tracks: Sequence[Track], save: str | None = None, png: str | None = None,
+                at: float | None = None, web: bool = False, fps: float = 30.0) -> None:
     """
-    Convert tracks, and show them unless only a file or a picture is wanted.
+    Show tracks, unless only a file or a picture is wanted.
 
-    `makers` are functions that return a Track. `save` and `png` are paths of a rerun file (*.rrd)
-    and of a picture, which is of the sim time `at` [s], by default the end. With `web` they are
-    shown in the browser; for `fps` see `write`. Raises ParameterError if a path or number breaks
-    its rule, or the time is not in the runs; ViewerError if the viewer does not start or does not
-    answer.
+    `save` and `png` are paths of a rerun file (*.rrd) and of a picture, which is of the sim time
+    `at` [s], by default the end. With `web` they are shown in the browser; for `fps` see `write`.
+    Raises ParameterError if a path or number breaks its rule, or the time is not in the runs;
+    ViewerError if the viewer does not start or does not answer.
     """
     at, fps = at if at is None else _AT.check(at), FPS.check(fps)
     if save and not str(save).endswith('.rrd'):
@@ -290,8 +276,6 @@ def show_tracks(makers: Sequence[Callable[[], Track]], save: str | None = None,
         raise ParameterError(f'--png {png} cannot be written: its folder is missing or read-only')
     with tempfile.TemporaryDirectory(prefix='timo_sim_') as folder:
         path = Path(save or Path(folder, 'run.rrd'))
-        tracks = [maker() for maker in tqdm(
-            makers, 'reading', bar_format='{l_bar}{bar}', delay=1.0, disable=None, leave=False)]
         begin = min(track.ns[0] for track in tracks)
         end = max(track.ns[-1] for track in tracks)
         if at is not None and not begin <= round(1e9 * at) <= end:
