@@ -15,7 +15,7 @@ from benchmark.report import BLUE, GREEN, GREY, parser, RED
 import timo_sim
 from timo_sim.view.plot import draw_floor
 from timo_sim.view.rerun import picture, write
-from timo_sim.view.track import body_of, floor_of, track_of_run
+from timo_sim.view.track import body_of, floor_of, Track
 
 LENGTH = 2.0  # of the paper's arm [m]
 FINE = {'model.modes': 5}
@@ -221,7 +221,7 @@ def draw_window():
     """Draw what `timo_sim view` shows of the paper's run at 1.81 s, doc/view.png."""
     run = timo_sim.simulate(timo_sim.load_scene(ROOT / 'config/paper.yaml'), 10.0)
     with TemporaryDirectory() as folder:
-        write([track_of_run(run, 'paper')], Path(folder, 'run.rrd'), at=1.81)
+        write([Track(run, 'paper')], Path(folder, 'run.rrd'), at=1.81)
         picture(Path(folder, 'run.rrd'), Path(folder, 'view.png'), 1.81, (1500, 940))
         # Without the viewer's menu, which says things about the machine.
         imsave(ROOT / 'doc' / 'view.png', imread(Path(folder, 'view.png'))[37:])

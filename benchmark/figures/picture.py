@@ -11,7 +11,7 @@ from benchmark.report import BLUE, GREY, parser, RED
 from oracles.references import read
 import timo_sim
 from timo_sim.view.plot import animate
-from timo_sim.view.track import track_of_run
+from timo_sim.view.track import Track
 
 LENGTH = 2.0
 SCALE = 5.0  # of the drawn deflection
@@ -23,7 +23,7 @@ def main():
     run = timo_sim.simulate(timo_sim.load_scene('paper', {'model.modes': 5}), 10.0)
     run.plot(SCALE).savefig(ROOT / 'doc' / 'run.png', dpi=80)
     run = timo_sim.simulate(timo_sim.load_scene('paper'), 4.0)
-    animate([track_of_run(run, 'paper', SCALE)], ROOT / 'doc' / 'arm.gif')
+    animate([Track(run, 'paper', SCALE)], ROOT / 'doc' / 'arm.gif')
     print('wrote doc/run.png and doc/arm.gif')
     _draw_arm()
     _draw_signs()

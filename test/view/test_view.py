@@ -31,7 +31,7 @@ import timo_sim
 from timo_sim.view import plot, rerun
 from timo_sim.view.plot import animate
 from timo_sim.view.rerun import picture, write
-from timo_sim.view.track import track_of_run
+from timo_sim.view.track import Track
 
 CONFIG = Path(__file__).resolve().parents[2] / 'bringup/config'
 LENGTH, AT = 2.0, 1.782
@@ -47,7 +47,7 @@ def run(paper):
 def shown(run, tmp_path_factory):
     """Return a rerun file of this run and the corners of its plane."""
     path = tmp_path_factory.mktemp('view') / 'run.rrd'
-    return path, write([track_of_run(run, 'one')], path, at=AT)
+    return path, write([Track(run, 'one')], path, at=AT)
 
 
 def columns(path, entity):
@@ -127,7 +127,7 @@ def test_the_viewer_itself_draws_a_log_with_a_bent_arm(tmp_path):
 
 
 def test_an_animation_shows_the_arm_where_it_is(run, tmp_path):
-    animate([track_of_run(run)], tmp_path / 'run.gif', 10.0)
+    animate([Track(run)], tmp_path / 'run.gif', 10.0)
     frames = Image.open(tmp_path / 'run.gif')
     assert frames.n_frames == 31 and frames.info['duration'] == 100  # [ms], as in the run
     for number, k in ((0, 0), (18, 900)):
@@ -226,7 +226,7 @@ def test_a_scale_of_the_deflection_is_drawn_and_stated(run, tmp_path, monkeypatc
     _, values = columns(tmp_path / 'run.rrd', '/curves/tip_deflection/run')
     assert np.allclose(values[:, 0], run.deflection()[:, 1], rtol=0.0, atol=1e-12)  # not scaled
     for wrong in 0.0, -1.0, np.nan, np.inf, 1e10, 'large':
-        for draw in run.plot, lambda scale: track_of_run(run, 'run', scale):
+        for draw in run.plot, lambda scale: Track(run, 'run', scale):
             with pytest.raises(ValueError, match='deflection_scale must be a finite number > 0'):
                 draw(wrong)
 
@@ -264,7 +264,7 @@ def test_curves_have_every_sample_and_frames_are_thinned(run, shown):
     path, _ = shown
     ns, values = columns(path, '/curves/tip_deflection/one')
     assert np.array_equal(ns, np.rint(run.t * 1e9))
-    assert np.array_equal(values[:, 0], run.deflection(LENGTH)[:, 1])
+    assert np.array_equal(values[:, 0], run.deflection()[:, 1])
     ns, values = columns(path, '/curves/force/one')
     expected = 5.0 * np.sin(2.0 * np.pi * run.t[:, np.newaxis] * [2.0, 3.0])
     assert np.allclose(values, expected, rtol=0.0, atol=1e-12)
@@ -295,7 +295,7 @@ def test_a_floor_is_under_the_carrier_where_there_is_gravity(run, shown, tmp_pat
     # A cube of 5 kg has sides of 0.12 m in the arm's material.
     below, down = start + 0.5 * (5.0 / 2710.0)**(1 / 3) * gravity / 5.0, gravity / 5.0
     log = timo_sim.open_log(tmp_path / 'leaning.mcap')
-    for name, track in ('run', track_of_run(leaning)), ('log', track_of_run(log, 'log')):
+    for name, track in ('run', Track(leaning)), ('log', Track(log, 'log')):
         assert 'Gravity is 5 m/s2' in track.note
         path = tmp_path / f'{name}.rrd'
         write([track], path)
@@ -312,17 +312,17 @@ def test_a_floor_is_under_the_carrier_where_there_is_gravity(run, shown, tmp_pat
     drawn = plane.transData.inverted().transform(line.get_transform().transform(line.get_xydata()))
     assert np.abs((drawn - below) @ down).max() < 1e-9
     assert plane.get_xlim()[0] < start[0] and plane.get_ylim()[1] > start[1]
-    animate([track_of_run(leaning)], tmp_path / 'leaning.gif')
+    animate([Track(leaning)], tmp_path / 'leaning.gif')
     assert Image.open(tmp_path / 'leaning.gif').n_frames == 5
 
     assert not {'/plane/one/floor', '/plane/one/gravity'} & {*static(shown[0])}
-    assert track_of_run(run).floor is None and 'ravity' not in track_of_run(run).note
+    assert Track(run).floor is None and 'ravity' not in Track(run).note
 
 
 def test_two_runs_share_panels_and_have_their_difference(run, paper, tmp_path):
     heavy = timo_sim.load_scene(paper, {'end_effector.mass': 2.5})
     other, path = timo_sim.simulate(heavy, 2.0), tmp_path / 'two.rrd'
-    write([track_of_run(run, 'one'), track_of_run(other, 'two')], path)
+    write([Track(run, 'one'), Track(other, 'two')], path)
     ns, values = columns(path, '/curves/difference/two')
     first = np.interp(other.t, run.t, run.deflection(LENGTH)[:, 1])
     assert len(ns) == len(other.t)
@@ -348,11 +348,11 @@ def log(tmp_path_factory, paper):
 def test_a_log_of_the_node_is_shown_like_its_run(log, paper, tmp_path):
     path = tmp_path / 'out.rrd'
     call('view', log, log, '--save', path)
-    run = track_of_run(timo_sim.simulate(timo_sim.load_scene(paper), 1.0))
+    run = Track(timo_sim.simulate(timo_sim.load_scene(paper), 1.0))
     for panel in ('tip_deflection', 'modal', 'force', 'torque', 'energy'):
         ns, values = columns(path, f'/curves/{panel}/{log.stem}')
         assert np.array_equal(ns, run.ns[::20])
-        expected = run.trace(panel).values[::20]
+        expected = np.column_stack([*run.curves[panel].values()])[::20]
         assert np.allclose(values, expected[:, :1] if panel == 'energy' else expected, atol=1e-12)
     _, values = columns(path, f'/curves/difference/{log.stem}_1')
     assert np.all(values == 0.0)

@@ -446,8 +446,8 @@ def simulate(scene: Scene, duration: float, output: str | None, rate: float | No
         _draw(run.plot(deflection_scale), png)
     if gif:
         from timo_sim.view.plot import animate
-        from timo_sim.view.track import track_of_run
-        animate([track_of_run(run, 'run', deflection_scale)], gif)
+        from timo_sim.view.track import Track
+        animate([Track(run, 'run', deflection_scale)], gif)
         click.echo(f'{gif} is written')
     if view:
         run.view(deflection_scale=deflection_scale)
@@ -713,13 +713,13 @@ def view(files: tuple[str, ...], save: str | None, png: str | None, gif: str | N
     from timo_sim.log.tables import Recording
     from timo_sim.log.write import numbered
     from timo_sim.runs.replay import run_of
-    from timo_sim.view.track import track_of_run
+    from timo_sim.view.track import Track
 
     tracks: dict[str, Any] = {}
     for file in files:
         recording = Recording(file, node)
         name = next(path.stem for path in numbered(recording.path) if path.stem not in tracks)
-        tracks[name] = track_of_run(run_of(recording), name, deflection_scale)
+        tracks[name] = Track(run_of(recording), name, deflection_scale)
     if gif:
         from timo_sim.view.plot import animate
         animate([*tracks.values()], gif, fps)

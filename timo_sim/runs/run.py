@@ -273,8 +273,8 @@ class Run(MotionFields, PointsOfArm):
         """Show the run in rerun until its window, or the browser, is closed; needs rerun-sdk."""
         with optional():
             from timo_sim.view.rerun import show_tracks
-        from timo_sim.view.track import track_of_run
-        show_tracks([track_of_run(self, deflection_scale=deflection_scale)], web=web)
+        from timo_sim.view.track import Track
+        show_tracks([Track(self, deflection_scale=deflection_scale)], web=web)
 
     def _outputs(self):
         # These topics follow from the motion alone; sensors need the simulator.

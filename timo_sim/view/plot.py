@@ -213,9 +213,8 @@ def animate(tracks: Sequence[Track], path: Path | str, fps: float = _MOST_FPS) -
     plane.set_title(', '.join(sorted({track.title for track in tracks} - {''})))
     for track, colour in zip(tracks, cycle(COLOURS)):
         draw_floor(plane, track.floor)
-        trace = track.trace('tip_deflection')
-        assert trace is not None  # each track has it
-        curves.plot(1e-9 * trace.ns, trace.values[:, -1], color=colour, label=track.name)
+        curves.plot(1e-9 * track.ns, track.curves['tip_deflection']['w'], color=colour,
+                    label=track.name)
     curves.set(xlabel='time [s]', ylabel='transverse tip deflection [m]')
     if len(tracks) > 1:
         curves.legend(fontsize='small')
@@ -243,10 +242,10 @@ class _Arm:
 
     def __init__(self, axes, track, fps, colour):
         picked = track.frames(fps)
-        self.times, self._poses = 1e-9 * track.ns[picked], track.poses(picked)
-        self._length, margin = track.body.length, _MARGIN * track.body.length
-        places = self._poses.line.reshape(-1, 2)
-        self.corners = places.min(axis=0) - margin, places.max(axis=0) + margin
+        self.times, margin = 1e-9 * track.ns[picked], _MARGIN * track.body.length
+        self._lines, self._ends = track.line(picked), track.straight(picked)
+        self.corners = (self._lines.min(axis=(0, 1)) - margin,
+                        self._lines.max(axis=(0, 1)) + margin)
         self._path, self._straight, self._bent, self._carrier, self._tip = (
             axes.plot([], [], animated=True, **style)[0] for style in (
                 {'color': colour, 'alpha': 0.3, 'linewidth': 1.0},
@@ -258,10 +257,9 @@ class _Arm:
     def draw(self, axes, time):
         """Draw the last frame until a time [s]."""
         number = max(np.searchsorted(self.times, time, side='right') - 1, 0)
-        line, angle = self._poses.line[number], self._poses.shaft[number]
-        end = line[0] + self._length * np.array([np.cos(angle), np.sin(angle)])
-        for artist, points in ((self._path, self._poses.line[:number + 1, -1]),
-                               (self._straight, np.array([line[0], end])), (self._bent, line),
+        line = self._lines[number]
+        for artist, points in ((self._path, self._lines[:number + 1, -1]),
+                               (self._straight, self._ends[number]), (self._bent, line),
                                (self._carrier, line[:1]), (self._tip, line[-1:])):
             artist.set_data(*points.T)
             axes.draw_artist(artist)

@@ -13,7 +13,6 @@ import subprocess
 import sys
 import tempfile
 import time
-from typing import Any
 
 import numpy as np
 import rerun as rr
@@ -22,7 +21,7 @@ import rerun_cli
 
 from timo_sim.scene.files import whole_file
 from timo_sim.scene.parameters import Parameter, ParameterError
-from timo_sim.view.track import FPS, Poses, Trace, Track
+from timo_sim.view.track import FPS, Track
 
 _TIMELINE = 'sim_time'
 _PLANE, _CURVES, _ABOUT = 'plane', 'curves', 'about'
@@ -32,10 +31,9 @@ _COLOURS = [(86, 180, 233), (230, 159, 0), (0, 158, 115), (204, 121, 167), (240,
 _GHOST, _GRID, _TICKS = (120, 120, 120), (128, 128, 128, 90), (170, 170, 170)
 _TRAIL = 90  # frames of the tip's trail
 _BLOCK = 65536  # samples, or frames, that are sent at once
-# By panel of differences: the trace that is compared, and its columns.
-_DIFFERENCES: dict[str, tuple[str, Any]] = {
-    'difference': ('tip_deflection', slice(1)), 'shaft_difference': ('shaft', slice(1)),
-    'carrier_difference': ('carrier', slice(None))}
+# By panel of differences: the panel whose curves are compared.
+_DIFFERENCES = {'difference': 'tip_deflection', 'shaft_difference': 'shaft',
+                'carrier_difference': 'carrier'}
 # Titles of the panels, in the order in which they are shown.
 _TITLES = {
     'tip_deflection': 'tip deflection w [m]',
@@ -91,12 +89,15 @@ def _send(stream, tracks, fps, at):
     for run, track in enumerate(tracks):
         entities, frames = _Entities(stream, track, run, len(tracks)), track.frames(fps, at)
         for part in _blocks(len(frames)):
-            poses, margin = track.poses(frames[part]), 0.15 * track.body.length
-            entities.send_poses(track.ns[frames[part]], poses)
-            corners += [poses.line.min(axis=(0, 1)) - margin, poses.line.max(axis=(0, 1)) + margin]
-        for trace in (*track.traces, *(_differences(track, tracks[0]) if run else ())):
-            entities.send_curves(trace)
-            panels[trace.panel] = len(trace.names)
+            line, margin = track.line(frames[part]), 0.15 * track.body.length
+            entities.send_shapes(track.ns[frames[part]], line, track.straight(frames[part]))
+            corners += [line.min(axis=(0, 1)) - margin, line.max(axis=(0, 1)) + margin]
+        for panel, curves in track.curves.items():
+            entities.send_curves(panel, track.ns, curves)
+            panels[panel] = len(curves)
+        for panel, ns, curves in _differences(track, tracks[0]) if run else ():
+            entities.send_curves(panel, ns, curves)
+            panels[panel] = len(curves)
     low, high = np.min(corners, axis=0), np.max(corners, axis=0)
     bounds = np.array([low - 0.05 * np.max(high - low), high])  # room for the numbers at the grid
     _log_plane(stream, bounds)
@@ -111,17 +112,14 @@ def _blocks(count):
 
 
 def _differences(track, first):
-    """Yield the Traces of what a track differs in from the first, where both have samples."""
-    for panel, (source, columns) in _DIFFERENCES.items():
-        ours, theirs = track.trace(source), first.trace(source)
-        inside = (ours.ns >= theirs.ns[0]) & (ours.ns <= theirs.ns[-1])
-        if not inside.any():
-            continue
-        ns = ours.ns[inside]
-        values = ours.values[inside] - np.column_stack(
-            [np.interp(ns, theirs.ns, column) for column in theirs.values.T])
-        yield Trace(panel, tuple(f'{text} less {first.name}' for text in ours.names[columns]),
-                    ns, values[:, columns])
+    """Yield panel, times and curves of what differs from the first, where both have samples."""
+    inside = (track.ns >= first.ns[0]) & (track.ns <= first.ns[-1])
+    ns = track.ns[inside]
+    for panel, source in _DIFFERENCES.items() if len(ns) else ():
+        yield panel, ns, {
+            f'{name} less {first.name}': values[inside] - np.interp(
+                ns, first.ns, first.curves[source][name])
+            for name, values in track.curves[source].items()}
 
 
 def _about(tracks, fps):
@@ -140,7 +138,7 @@ class _Entities:
 
     def __init__(self, stream: rr.RecordingStream, track: Track, run: int, runs: int) -> None:
         self._stream, self._name, self._run, self._runs = stream, track.name, run, runs
-        self._body, self._path = track.body, f'{_PLANE}/{track.name}'
+        self._path = f'{_PLANE}/{track.name}'
         self._trail: np.ndarray | None = None
         body, points = track.body, rr.Radius.ui_points
         own, line = self._colour(), 0.5 * body.thickness
@@ -163,34 +161,32 @@ class _Entities:
         base = np.array(_COLOURS[self._run % len(_COLOURS)])
         return tuple((base + (255 - base) * (1 - 0.6**curve)).astype(int).tolist())
 
-    def send_poses(self, ns: np.ndarray, poses: Poses) -> None:
-        """Send Poses at times (m,) [ns]."""
-        body, root, tip = self._body, poses.line[:, 0], poses.line[:, -1]
-        straight = root + body.length * np.column_stack([np.cos(poses.shaft), np.sin(poses.shaft)])
+    def send_shapes(self, ns: np.ndarray, line: np.ndarray, straight: np.ndarray) -> None:
+        """Send lines at times (m,) [ns], as of `Track`."""
+        root, tip = line[:, 0], line[:, -1]
         before = np.repeat(tip[:1], _TRAIL - 1, axis=0) if self._trail is None else self._trail
         trail = np.concatenate([before, tip])
         self._trail = trail[1 - _TRAIL:]
         trails = np.moveaxis(np.lib.stride_tricks.sliding_window_view(trail, _TRAIL, axis=0), 1, 2)
         for name, columns in {
-                'ghost': rr.LineStrips2D.columns(strips=np.stack([root, straight], axis=1)),
+                'ghost': rr.LineStrips2D.columns(strips=straight),
                 'trail': rr.LineStrips2D.columns(strips=trails),
                 'carrier': rr.Boxes2D.columns(centers=root),
                 'motor': rr.Points2D.columns(positions=root),
-                'arm': rr.LineStrips2D.columns(strips=poses.line),
+                'arm': rr.LineStrips2D.columns(strips=line),
                 'end_effector': rr.Points2D.columns(positions=tip)}.items():
             self._stream.send_columns(f'{self._path}/{name}', [_time(ns)], columns)
 
-    def send_curves(self, trace: Trace) -> None:
-        """Send samples of a Trace, and names and colours of its curves."""
-        path, names = f'{_CURVES}/{trace.panel}/{self._name}', trace.names
+    def send_curves(self, panel: str, ns: np.ndarray, curves: dict[str, np.ndarray]) -> None:
+        """Send curves at times (n,) [ns], with names and colours."""
+        path, values = f'{_CURVES}/{panel}/{self._name}', np.column_stack([*curves.values()])
         self._stream.log(path, rr.SeriesLines(
-            names=[f'{self._name}: {text}' if self._runs > 1 else text for text in names],
-            colors=[self._colour(curve) for curve in range(len(names))], widths=1.5), static=True)
-        for part in _blocks(len(trace.ns)):
-            self._stream.send_columns(
-                path, [_time(trace.ns[part])],
-                rr.Scalars.columns(scalars=np.ravel(trace.values[part])).partition(
-                    np.full(len(trace.ns[part]), len(names))))
+            names=[f'{self._name}: {text}' if self._runs > 1 else text for text in curves],
+            colors=[self._colour(curve) for curve in range(len(curves))], widths=1.5), static=True)
+        for part in _blocks(len(ns)):
+            scalars = rr.Scalars.columns(scalars=values[part].ravel())
+            self._stream.send_columns(path, [_time(ns[part])], scalars.partition(
+                np.full(len(ns[part]), len(curves))))
 
 
 def _log_floor(stream, track, bounds):

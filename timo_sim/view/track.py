@@ -1,12 +1,11 @@
 # Copyright 2026 The timo_sim authors
 # SPDX-License-Identifier: Apache-2.0
 
-"""Tracks: what a view shows of a run, made of a `Run` or of a log."""
+"""Tracks: what a view shows of a run."""
 
 from __future__ import annotations
 
-from collections.abc import Callable
-from dataclasses import dataclass
+from functools import cached_property
 from typing import Any, NamedTuple
 
 import numpy as np
@@ -17,7 +16,6 @@ from timo_sim.scene.scene import Scene
 FPS = Parameter('--fps', 30.0, 'Hz', 'frames', low=0.0, high=1e6, open_low=True)
 DEFLECTION_SCALE = Parameter('deflection_scale', 1.0, '', 'drawn deflection over the computed one',
                              low=0.0, high=1e9, open_low=True)
-_BLOCK = 1024    # samples that are computed at once: their arrays stay in the processor's cache
 _BESIDE = 0.08   # from the carrier to the arrow of gravity, and its length, in arm lengths
 
 
@@ -29,13 +27,6 @@ class Body(NamedTuple):
     carrier: float
     motor: float
     end_effector: float
-
-
-class Poses(NamedTuple):
-    """Places at m times, in world axes."""
-
-    line: np.ndarray    # from the shaft's axis to the tip, (m, p, 2) [m]
-    shaft: np.ndarray   # (m,) [rad]
 
 
 class Floor(NamedTuple):
@@ -51,37 +42,60 @@ class Floor(NamedTuple):
             :, np.newaxis] * self.along
 
 
-class Trace(NamedTuple):
-    """Curves of one panel."""
-
-    panel: str          # key, as in 'tip_deflection'
-    names: tuple        # of the k curves
-    ns: np.ndarray      # sim time (n,) [ns]
-    values: np.ndarray  # (n, k)
-
-
-@dataclass(frozen=True)
 class Track:
     """
-    A run in the form that views take.
+    A Run as views show it: with a name, and a multiple of its deflection in the plane.
 
-    `ns` are the sim times of n samples, not descending [ns]; `poses` returns the Poses at some of
-    them; `note` describes it in Markdown. `floor` is None without gravity. `title` states the
-    factor of the deflection of poses if it is not 1; that of traces is not multiplied.
+    `ns` are the sim times of its n samples, not descending [ns]; `body` has the sizes of what is
+    drawn, `floor` is None without gravity. `title` states `deflection_scale` if it is not 1; one
+    that is not above 0 and at most 1e9 is a ParameterError.
     """
 
-    name: str
-    ns: np.ndarray
-    poses: Callable[[np.ndarray | slice], Poses]
-    traces: list[Trace]
-    body: Body
-    note: str
-    floor: Floor | None = None
-    title: str = ''
+    def __init__(self, run: Any, name: str = 'run', deflection_scale: float = 1.0) -> None:
+        self._run, self.name = run, name
+        self._scale = DEFLECTION_SCALE.check(deflection_scale)
+        self.ns = np.rint(run.t * 1e9).astype(np.int64)
+        self.body = body_of(run.scene)
+        self.floor = floor_of(run.scene.values['gravity'], run.carrier[0], self.body)
+        self.title = '' if self._scale == 1.0 else f'deflection x {self._scale:g}'
 
-    def trace(self, panel: str) -> Trace | None:
-        """Return the trace of a panel, or None."""
-        return next((trace for trace in self.traces if trace.panel == panel), None)
+    def line(self, samples: np.ndarray | slice) -> np.ndarray:
+        """Return the line from the shaft's axis to the tip at m samples, (m, p, 2) [m]."""
+        return self._run.model.shape(self._run.values[samples], self._scale)
+
+    def straight(self, samples: np.ndarray | slice) -> np.ndarray:
+        """Return the ends of this line if the arm did not bend, (m, 2, 2) [m]."""
+        return self._run.model.shape(self._run.values[samples], 0.0)[:, [0, -1]]
+
+    @cached_property
+    def curves(self) -> dict[str, dict[str, np.ndarray]]:
+        """By panel and name, (n,); the deflection is the computed one."""
+        run = self._run
+        bend, effort = run.deflection(), run.effort
+        panels = {
+            'tip_deflection': {'w': bend[:, 1]},
+            'tip_axial': {'u': bend[:, 0]},
+            'tip_rotation': {'phi': run.rotation()},
+            'carrier': dict(zip('xy', run.carrier.T)),
+            'shaft': {'theta': run.shaft},
+            'carrier_velocity': dict(zip('xy', run.carrier_velocity.T)),
+            'shaft_speed': {'theta': run.shaft_velocity},
+            'force': dict(zip('xy', effort.T)),
+            'torque': {'torque': effort[:, 2]},
+            'energy': {'energy': run.energy()},
+            'modal': {f'q{n}': values for n, values in enumerate(run.q.T, 1)}}
+        return {panel: curves for panel, curves in panels.items() if curves}
+
+    @property
+    def note(self) -> str:
+        """What it is, in Markdown."""
+        scene, ns, gravity = self._run.scene, self.ns, self._run.scene.values['gravity']
+        note = (f'formulation `{scene.values["model.formulation"]}`, '
+                f'{scene.values["model.modes"]} modes, step {1e3 * scene.step:g} ms; {len(ns)} '
+                f'samples, sim time {1e-9 * ns[0]:g} to {1e-9 * ns[-1]:g} s. The shape of the arm '
+                'is that of the modal coordinates.')
+        note += f' Gravity is {np.hypot(*gravity):.4g} m/s2.' if self.floor else ''
+        return note + (f' The plane shows {self.title}.' if self.title else '')
 
     def frames(self, rate: float, at: float | None = None) -> np.ndarray:
         """Return ascending samples, at most `rate` per second, and the last until `at` [s]."""
@@ -91,49 +105,6 @@ class Track:
         if at is not None:
             places.append(max(np.searchsorted(self.ns, round(1e9 * at), side='right') - 1, 0))
         return np.unique(places)
-
-
-def track_of_run(run: Any, name: str = 'run', deflection_scale: float = 1.0) -> Track:
-    """
-    Return the track of a `Run`.
-
-    Poses have `deflection_scale` times the deflection; one that is not above 0 and at most 1e9 is
-    a ParameterError.
-    """
-    scale = DEFLECTION_SCALE.check(deflection_scale)
-    scene, motion, effort = run.scene, run.values, run.effort
-    ns = np.rint(run.t * 1e9).astype(np.int64)
-    formulation, half = scene.build(), motion.shape[1] // 2
-    modal, tip = motion[:, 3:half], formulation.tip_point
-    bend = _in_blocks(formulation.centre_line, modal, tip)[:, 0] - [tip.lever[0], 0.0]
-    traces = [
-        Trace('tip_deflection', ('w',), ns, bend[:, 1:]),
-        Trace('tip_axial', ('u',), ns, bend[:, :1]),
-        Trace('tip_rotation', ('phi',), ns, _in_blocks(formulation.section_rotation, modal, tip)),
-        Trace('carrier', ('x', 'y'), ns, motion[:, :2]),
-        Trace('shaft', ('theta',), ns, motion[:, 2:3]),
-        Trace('carrier_velocity', ('x', 'y'), ns, motion[:, half:half + 2]),
-        Trace('shaft_speed', ('theta',), ns, motion[:, half + 2:half + 3]),
-        Trace('force', ('x', 'y'), ns, effort[:, :2]),
-        Trace('torque', ('torque',), ns, effort[:, 2:]),
-        Trace('energy', ('energy',), ns, run.energy()[:, np.newaxis])]
-    if half > 3:
-        traces.append(Trace('modal', tuple(f'q{n}' for n in range(1, half - 2)), ns, modal))
-
-    def poses(part):
-        return Poses(formulation.shape(motion[part], scale), motion[part, 2])
-
-    note = (f'formulation `{scene.values["model.formulation"]}`, {scene.values["model.modes"]} '
-            f'modes, step {1e3 * scene.step:g} ms; {len(ns)} samples, sim time '
-            f'{1e-9 * ns[0]:g} to {1e-9 * ns[-1]:g} s. The shape of the arm is that of the modal '
-            'coordinates.')
-    body, gravity = body_of(scene), scene.values['gravity']
-    floor = floor_of(gravity, motion[0, :2], body)
-    note += f' Gravity is {np.hypot(*gravity):.4g} m/s2.' if floor else ''
-    title = '' if scale == 1.0 else f'deflection x {scale:g}'
-    note += f' The plane shows {title}.' if title else ''
-    return Track(name=name, ns=ns, poses=poses, traces=traces, body=body, note=note, floor=floor,
-                 title=title)
 
 
 def floor_of(gravity: tuple[float, float], carrier: np.ndarray, body: Body) -> Floor | None:
@@ -159,8 +130,3 @@ def body_of(scene: Scene) -> Body:
     return Body(body.hub_radius + arm.length, float(np.max(arm.section.height)),
                 size(body.carrier_mass, 1.0), size(body.motor_mass, np.pi / 4),
                 size(body.end_effector_mass, np.pi / 6))
-
-
-def _in_blocks(function, values, *more):
-    return np.concatenate([function(values[k:k + _BLOCK], *more)
-                           for k in range(0, len(values), _BLOCK)])
