@@ -399,7 +399,7 @@ def test_a_step_that_is_too_long_is_a_message(tmp_path):
 
 def test_a_new_scene_is_not_written_to_a_pipe(tmp_path):
     os.mkfifo(tmp_path / 'pipe')
-    assert 'pipe exists' in call('new', tmp_path / 'pipe', code=1)
+    assert 'pipe exists' in call('new', tmp_path / 'pipe', code=2)
 
 
 def test_a_new_scene_may_have_a_name_that_is_no_text(tmp_path):
