@@ -24,7 +24,8 @@ import time
 
 import numpy as np
 
-from timo_sim.scene.loads import Harmonic, Piecewise
+from oracles.peers import is_constant
+from timo_sim.scene.loads import Harmonic
 
 sys.exudynFast = True  # read by the import that follows
 import exudyn  # noqa: E402, I100
@@ -82,7 +83,7 @@ def solve(system, scene, watched, root, shaft, step, duration, every, tolerance=
     # jump it therefore begins anew, from the accelerations after the jump.
     count = round(duration / step)
     jumps = sorted({round(jump / step) for name in numbers for term in scene.load.terms[name]
-                    if isinstance(term, Piecewise) for jump in term.jumps()
+                    if not isinstance(term, Harmonic) for jump in term.jumps()
                     if 0.0 < jump < duration})
     if any(jump % every for jump in jumps):
         raise ValueError(f'loads may jump at samples only, every {every} steps, got {jumps}')
@@ -91,7 +92,7 @@ def solve(system, scene, watched, root, shaft, step, duration, every, tolerance=
         for name, number in numbers.items():
             number.SetValue(float(sum(
                 (0.0, *term.value)[bisect_right(term.time, (first + 0.5) * step)]
-                for term in scene.load.terms[name] if isinstance(term, Piecewise))))
+                for term in scene.load.terms[name] if not isinstance(term, Harmonic))))
         settings.timeIntegration.startTime = first * step
         settings.timeIntegration.endTime = last * step
         settings.timeIntegration.numberOfSteps = last - first
@@ -113,7 +114,7 @@ def marker(system, node, coordinate):
 
 def _add_load(system, name, constant, terms, marker):
     # The sum of a symbolic number, which is set before each piece, and of harmonic terms.
-    if not all(isinstance(term, (Harmonic, Piecewise)) for term in terms):
+    if not all(isinstance(term, Harmonic) or is_constant(term) for term in terms):
         raise ValueError(f'load.{name} must be harmonic or piecewise')
     waves = [(term.amplitude, 2.0 * math.pi * term.frequency, term.phase) for term in terms
              if isinstance(term, Harmonic)]

@@ -16,7 +16,7 @@ from timo_sim.compiled.entry import entry_point
 from timo_sim.compiled.functions import Array, Constants
 from timo_sim.model.functions import observe, rate_once
 from timo_sim.model.layout import ACCELERATION, ANGLE, LOADS, SPEED
-from timo_sim.scene.loads import CHANNELS, Harmonic, Piecewise
+from timo_sim.scene.loads import CHANNELS, Harmonic
 from timo_sim.steps.steps import Steps
 
 TOLERANCE, ITERATIONS = 1e-12, 50  # of the implicit methods, relative
@@ -170,6 +170,11 @@ FIXED_STEP = {'RK4': rk4, 'implicit midpoint': implicit_midpoint,
               'generalized-alpha': generalized_alpha}
 
 
+def is_constant(table):
+    """Return whether a Table is constant but for its jumps."""
+    return table.time[::2] == table.time[1::2] and table.value[1:-1:2] == table.value[2::2]
+
+
 def load_function(scene, drive=None):
     """
     Return the load of a scene at any time, shape (LOADS,), and the times at which it jumps.
@@ -184,9 +189,9 @@ def load_function(scene, drive=None):
     """
     terms = [(column, term) for channel, column in CHANNELS.items()
              for term in scene.load.terms[channel]]
-    if not all(isinstance(term, (Harmonic, Piecewise)) for _, term in terms):
+    if not all(isinstance(term, Harmonic) or is_constant(term) for _, term in terms):
         raise ValueError('only harmonic and piecewise loads are known at any time')
-    jumps = sorted({jump for _, term in terms if isinstance(term, Piecewise)
+    jumps = sorted({jump for _, term in terms if not isinstance(term, Harmonic)
                     for jump in term.jumps()})
 
     def load(t):

@@ -11,7 +11,7 @@ from scipy.interpolate import BPoly
 import timo_sim
 from timo_sim.model.layout import (
     ACCELERATION, AFTER, ANGLE, END, FORCE_X, LOADS, STEP_LOADS, TORQUE)
-from timo_sim.scene.loads import Drive, Harmonic, Load, Piecewise, Table
+from timo_sim.scene.loads import Drive, Harmonic, Load, Table
 from timo_sim.simulation.loads import Actuators
 
 STEP = 0.1
@@ -24,7 +24,7 @@ def seen(term, first, count):
 
 def test_piecewise_gives_each_step_its_own_piece():
     # 0.3 = 3 x 0.1 only up to rounding: steps are counted, not compared as times.
-    values = seen(Piecewise((0.3, 0.5), (4.0, -1.0)), 2, 4)
+    values = seen(Table((0.3, 0.3, 0.5, 0.5), (0.0, 4.0, 4.0, -1.0)), 2, 4)
     assert values.tolist() == [[0.0] * 3, [4.0] * 3, [4.0] * 3, [-1.0] * 3]
 
 
@@ -36,7 +36,7 @@ def test_table_jumps_where_a_time_is_given_twice():
 
 
 def test_stages_do_not_depend_on_where_a_block_begins():
-    terms = [Harmonic(1.0, 3.0, 0.1), Piecewise((0.2, 0.7), (1.0, 2.0)),
+    terms = [Harmonic(1.0, 3.0, 0.1), Table((0.2, 0.2, 0.7, 0.7), (0.0, 1.0, 1.0, 2.0)),
              Table((0.0, 0.4, 0.4, 0.9), (0.0, 1.0, 2.0, 0.0)),
              Table((0.31, 0.33, 0.72), (1.0, 2.0, 0.0))]
     for term in terms:

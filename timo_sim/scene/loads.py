@@ -4,8 +4,9 @@
 """
 Loads that a scene prescribes over time, the angle of a driven shaft, and loads at the tip.
 
-Loads are harmonic, piecewise constant, linear between points, or sums of those. `steps.loads`
-computes what the steps see of them. A jump inside a step is refused.
+Loads are harmonic, piecewise constant, linear between points, or sums of those. A piecewise
+constant one is a table that jumps from 0 on. `steps.loads` computes what the steps see of them. A
+jump inside a step is refused.
 """
 
 from bisect import bisect_left
@@ -45,23 +46,6 @@ def _pieces(time, *coefficients):
     for k, each in enumerate((time, *coefficients)):
         found[:, k] = each
     return found
-
-
-@dataclass(frozen=True)
-class Piecewise:
-    """0 before time[0] [s], then value[i] until time[i + 1]; the last value holds for ever."""
-
-    time: tuple
-    value: tuple
-
-    def jumps(self) -> Sequence[float]:
-        """Return the times at which it jumps [s]."""
-        return self.time
-
-    def rows(self, step: float) -> np.ndarray:
-        """Return its pieces for steps of this size, see `SceneLoads`."""
-        time = on_boundaries(self.time, step)
-        return _pieces([time[0], *time], [0.0, *self.value])
 
 
 @dataclass(frozen=True)
@@ -208,18 +192,19 @@ def _terms(prefix, values, step):
         f'{prefix}.harmonic.amplitude': amplitude,
         f'{prefix}.harmonic.frequency': values[f'{prefix}.harmonic.frequency'],
         f'{prefix}.harmonic.phase': phase}))
-    for kind, term, ordered in (('piecewise', Piecewise, np.less),
-                                ('table', Table, np.less_equal)):
+    for kind, ordered in ('piecewise', np.less), ('table', np.less_equal):
         names = f'{prefix}.{kind}.time', f'{prefix}.{kind}.value'
         time, value = same_length({name: values[name] for name in names})
         if not time:
             continue
         if not np.all(ordered(time[:-1], time[1:])):
             raise ParameterError(f'{names[0]} must ascend, got {short(list(time))}')
-        for jump in term(time, value).jumps():
+        table = Table(time, value) if kind == 'table' else Table(
+            tuple(np.repeat(time, 2).tolist()), (0.0, *np.repeat(value, 2).tolist()[:-1]))
+        for jump in table.jumps():
             place = bisect_left(time, jump)
             whole_ratio(f'{names[0]}[{place}]', jump, 'integrator.step', step)
-        yield term(_whole(time, step), value)
+        yield replace(table, time=_whole(table.time, step))
 
 
 def _drive(values):
