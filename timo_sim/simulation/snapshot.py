@@ -8,7 +8,6 @@ from __future__ import annotations
 from collections.abc import Mapping, Sequence
 from functools import cached_property
 from itertools import accumulate
-import math
 from typing import Any
 
 import numpy as np
@@ -241,13 +240,3 @@ class Snapshot:
     def energy(self) -> float:
         """Kinetic plus strain energy and the potential of gravity [J]."""
         return float(self.model.energy(self.motion[np.newaxis])[0])
-
-    @property
-    def gravity(self) -> float:
-        """Gravity in the plane of motion [m/s2]."""
-        return math.hypot(*self.model.gravity)
-
-    @property
-    def length(self) -> float:
-        """Distance of the tip of the straight arm from the shaft's axis [m]."""
-        return float(self.model.tip_point.lever[0])

@@ -120,8 +120,8 @@ def gravity_along_z(gravity: float) -> float:
 
 def _imu_unlogged(snapshot):
     # Along z; variances.
-    return [gravity_along_z(snapshot.gravity), *(snapshot.variance(name) for name in (
-        'tip_acceleration', 'tip_acceleration', 'gyro'))]
+    return [gravity_along_z(math.hypot(*snapshot.model.gravity)), *(
+        snapshot.variance(name) for name in ('tip_acceleration', 'tip_acceleration', 'gyro'))]
 
 
 def _transforms(snapshot):
@@ -258,7 +258,8 @@ def outputs(modes: int, gear: bool = True) -> list[Output]:
                 'effort': _numbers('carrier_x_force_N', 'carrier_y_force_N', 'shaft_torque_N_m')}),
         *(modal if modes else []),
         Output('~/tip_deflection', 'geometry_msgs/msg/Vector3Stamped',
-               lambda snapshot: (snapshot.tip[0] - snapshot.length, snapshot.tip[1]),
+               lambda snapshot: (
+                   snapshot.tip[0] - float(snapshot.model.tip_point.lever[0]), snapshot.tip[1]),
                {'header': _frame('arm'), 'vector': _xy('axial_m', 'transverse_m')}),
         Output('~/tip_pose', 'geometry_msgs/msg/PoseStamped', _tip_pose, _POSE),
         Output('~/carrier_pose', 'geometry_msgs/msg/PoseStamped',
