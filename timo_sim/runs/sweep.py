@@ -283,7 +283,7 @@ def run_lanes(scenes: list[Scene], steps: int) -> tuple[np.ndarray, Batch]:
 
 def _summary(blocks, step):
     """Return the first numbers of `SUMMARY`, (n, 5), of blocks of tips at steps, (n, k, 3)."""
-    peak = peak_time = rotation = squares = count = 0
+    count, (peak, peak_time, rotation, squares) = 0, np.zeros((4, 1))
     for tips in blocks:
         # The order in memory is always the same, because the last bits of sums depend on it.
         across = np.ascontiguousarray(tips)[:, :, 1]
@@ -292,7 +292,7 @@ def _summary(blocks, step):
         peak_time = np.where(found > peak, step * (count + at), peak_time)
         peak = np.maximum(peak, found)
         rotation = np.maximum(rotation, np.abs(tips[:, :, 2]).max(axis=1))
-        squares += np.sum(size**2, axis=1)
+        squares = squares + np.sum(size**2, axis=1)
         count += size.shape[1]
     return np.column_stack([peak, peak_time, np.sqrt(squares / count), across[:, -1], rotation])
 
