@@ -13,9 +13,9 @@ from typing import Any
 import numpy as np
 
 from timo_sim.model.layout import (
-    INPUTS, LOADS, Motion, rotate, START, STEP_LOADS, TORQUE, VOLTAGE)
+    AFTER, INPUTS, LOADS, Motion, rotate, START, STEP_LOADS, TORQUE, VOLTAGE)
 from timo_sim.scene.bodies import motor_constants
-from timo_sim.scene.loads import SHAFT_DRIVE
+from timo_sim.scene.loads import CURVES, Load, SHAFT_DRIVE
 from timo_sim.scene.parameters import (
     fixed_axes, numbers, Parameter, ParameterError, steps_in)
 from timo_sim.scene.scene import load_scene, Scene, scene_from, SceneLike
@@ -40,13 +40,17 @@ class LaneLoads:
 
     def __init__(self, kinds: list[Scene], which: np.ndarray, lanes: LaneSteps) -> None:
         self._step, self._kinds, self._which, self._lanes = kinds[0].step, kinds, which, lanes
-        # Lanes share loads whose terms are the same, or whose drives are equal.
-        keys = [tuple((name, terms if name == SHAFT_DRIVE else id(terms))
-                      for name, terms in scene.load.terms.items()) for scene in kinds]
-        loads = {key: scene.load for key, scene in zip(keys, kinds)}
-        place = {key: k for k, key in enumerate(loads)}
-        self._loads, self._load = [*loads.values()], np.array([place[key] for key in keys])[which]
-        own = {column for load in self._loads for column in load.columns}
+        # What varies by itself, the terms of a channel: its columns, all different
+        # loads, and which of them each lane has. Lanes share what does not differ among them.
+        self._parts = []
+        for name in CURVES:
+            own = [scene.load.terms.get(name, ()) for scene in kinds]
+            keys = own if name == SHAFT_DRIVE else [id(terms) for terms in own]
+            loads = [Load({name: each}) for each in dict(zip(keys, own)).values()]
+            columns = sorted({column for load in loads for column in load.columns})
+            if columns:
+                place = {key: k for k, key in enumerate(dict.fromkeys(keys))}
+                self._parts.append((columns, loads, np.array([place[key] for key in keys])[which]))
         limits = np.array([limits_of(scene.values) for scene in kinds])
         slow = np.isfinite(limits[:, 1])
         gain = np.array([motor_constants(scene.values)[0] for scene in kinds])
@@ -55,9 +59,9 @@ class LaneLoads:
             limits[rows, 0], gain[rows], slow[rows]))
         self._slow: dict[int, Any] = dict.fromkeys(
             np.flatnonzero(slow.any(axis=1)[which]).tolist())
-        self.columns = np.array(sorted(own.union(np.flatnonzero(slow.any(axis=0)).tolist())),
-                                dtype=np.int64)
-        self._own = np.isin(self.columns, [*own])  # those that the scenes' own loads have
+        varying = (columns for columns, _, _ in self._parts)
+        self.columns = np.array(sorted({*np.flatnonzero(slow.any(axis=0)).tolist()}.union(
+            *varying)), dtype=np.int64)
         self._room, self.origin = NO_LOADS, np.zeros(len(which), dtype=int)
         self.reset(np.arange(len(which)), 0)
 
@@ -67,9 +71,10 @@ class LaneLoads:
         padded = np.minimum(
             np.arange(self._lanes.groups * self._lanes.width), len(self._which) - 1)
         # Lanes with equal loads that began at the same step; complex numbers are sorted fast.
-        self._kept, kinds = np.unique(self._own.any() * (self._load + 1j * self.origin),
-                                      return_inverse=True)
-        self._kind = self._lanes.xp.asarray(kinds[padded])
+        self._equal = []
+        for _, _, which in self._parts:
+            each, place = np.unique(which + 1j * self.origin, return_inverse=True)
+            self._equal.append((each, self._lanes.xp.asarray(place[padded])))
         for lane in self._slow.keys() & set(lanes if self._slow else ()):
             self._slow[lane] = Actuators(self._kinds[self._which[lane]].values, first)
 
@@ -94,12 +99,20 @@ class LaneLoads:
         """
         groups, width, xp = self._lanes.groups, self._lanes.width, self._lanes.xp
         found = xp.zeros((groups, 1 + count, STEP_LOADS, len(self.columns), width))
-        if self._own.any():
-            own = xp.asarray(np.stack([self._since(self._loads[int(each.real)],
-                                                   first - int(each.imag), count)
-                                       for each in self._kept]))
-            found[..., self._own, :] = (to_lanes(own[self._kind], width) if len(own) > 1 else
-                                        own[0, ..., np.newaxis])
+        for (columns, loads, _), (kinds, kind) in zip(self._parts, self._equal):
+            own = np.zeros((len(kinds), 1 + count, STEP_LOADS, len(columns)))
+            for each, rows in zip(kinds, own):
+                load, begin = loads[int(each.real)], first - int(each.imag)
+                if begin:  # from the step before, whose end is the beginning of these
+                    rows[:] = self._own(load, columns, begin - 1, count + 1)
+                else:
+                    rows[1:] = self._own(load, columns, 0, count)
+                    after = rows[1] if count else self._own(load, columns, 0, 1)[0]
+                    rows[0, AFTER] = after[START]
+            at = np.searchsorted(self.columns, columns[0])
+            own = xp.asarray(own)
+            found[..., at:at + len(columns), :] = (
+                to_lanes(own[kind], width) if len(kinds) > 1 else own[0, ..., np.newaxis])
         if self._slow:
             found = self._lanes.host(found)
         for lane, actuators in self._slow.items():
@@ -109,16 +122,11 @@ class LaneLoads:
             rows[..., among, lane % width] += acting[..., actuators.slow]
         return found
 
-    def _since(self, load, begin, count):
-        # The loads of steps from `begin` on, after those of the step before, whose end counts.
-        if len(self._room) <= count:
-            self._room = np.empty((1 + count, STEP_LOADS, LOADS))
-        if begin:
-            return load.stages(begin - 1, 1 + count, self._step, self._room)[
-                ..., self.columns[self._own]]
-        found = load.stages(0, 1 + count, self._step, self._room)[..., self.columns[self._own]]
-        return np.concatenate([np.broadcast_to(found[:1, [START]], found[:1].shape),
-                               found[:-1]])
+    def _own(self, load, columns, first, count):
+        if len(self._room) < count:
+            self._room = np.empty((count, STEP_LOADS, LOADS))
+        found = load.stages(first, count, self._step, self._room)
+        return found[..., columns[0]:columns[-1] + 1]
 
 
 MOST_ARMS = 10**7  # of a Batch
