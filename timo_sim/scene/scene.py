@@ -381,13 +381,11 @@ def values_of(source: str | Path | Mapping[str, Any],
     return values
 
 
-def scene_from(values: Mapping[str, Any], static: tuple[str, ...] | None = None,
-               keeps_axial: bool = False) -> Scene:
+def scene_from(values: Mapping[str, Any], static: tuple[str, ...] | None = None) -> Scene:
     """
     Return the Scene of checked values, or raise ParameterError if they do not fit together.
 
-    `static` are its static shapes, by default those of `model.static_modes`; for `keeps_axial` see
-    `Scene`.
+    `static` are its static shapes, by default those of `model.static_modes`.
     """
     values = MappingProxyType({
         name: tuple(value) if isinstance(value := values[name], list) else value
@@ -405,7 +403,7 @@ def scene_from(values: Mapping[str, Any], static: tuple[str, ...] | None = None,
     for name in DELAYS:
         whole_ratio(name, values[name], 'integrator.step', step)
     scene = Scene(manipulator=body, constraints=constraints_of(values), load=load_of(values),
-                  step=step, values=values, static=static, keeps_axial=keeps_axial)
+                  step=step, values=values, static=static)
     check_finite(scene)
     check_slope(scene)
     return scene
