@@ -288,8 +288,7 @@ class Run(MotionFields, PointsOfArm):
             motions = self.values[part]
             for step, motion, tip, effort in zip(
                     steps[part], motions, model.tips(motions), self.effort[part]):
-                found = Snapshot(
-                    self.scene, model, step, round(step * self.scene.step * 1e9), motion)
+                found = Snapshot(self.scene, model, step, motion)
                 found.tip, found.effort = tip.tolist(), tuple(effort.tolist())
                 yield found
 

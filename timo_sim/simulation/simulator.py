@@ -187,8 +187,7 @@ class Simulator(Stateful, PointsOfArm):
     def snapshot(self) -> Snapshot:
         """Return a Snapshot of now."""
         return Snapshot(scene=self.scene, model=self.model, step=self.steps,
-                        nanoseconds=self.nanoseconds, motion=self.motion.values,
-                        load=self._load.tolist(),
+                        motion=self.motion.values, load=self._load.tolist(),
                         acts=(self._state.copy(), self.integration.acting(self.load)))
 
     def reset(self) -> None:

@@ -167,13 +167,14 @@ class Snapshot:
     time in [s] and [ns].
     """
 
-    def __init__(self, scene: Scene, model: Formulation, step: int, nanoseconds: int,
-                 motion: np.ndarray, load: Sequence[float] = (),
+    def __init__(self, scene: Scene, model: Formulation, step: int, motion: np.ndarray,
+                 load: Sequence[float] = (),
                  acts: tuple[np.ndarray, np.ndarray] | None = None) -> None:
         self._scene, self.model, self._load = scene, model, load
         self._acts: Any = acts
-        self.step, self.nanoseconds, self.motion = step, nanoseconds, motion
-        self.time = divmod(nanoseconds, NANOSECONDS)
+        self.step, self.motion = step, motion
+        self.nanoseconds = round(step * scene.step * 1e9)
+        self.time = divmod(self.nanoseconds, NANOSECONDS)
         self._values = motion.tolist()
         self._half = len(self._values) // 2
 
