@@ -368,7 +368,7 @@ def test_a_log_that_is_still_being_written_is_called_that(start, client, tmp_pat
     node.send(signal.SIGKILL)
     node.wait()
     assert 'its process died, or another tool still writes it: timo_sim recover' in call(
-        'info', node.log)
+        'info', node.log, code=2)
 
 
 def time_of(state):
