@@ -431,9 +431,10 @@ def test_wrong_arguments(tmp_path, monkeypatch):
 
 def test_command(tmp_path):
     path = tmp_path / 'arm.fmu'
-    assert f'{path}\n' == call(
+    assert call(
         'export-fmu', 'paper', '-o', path, '--fmi', '2', '--set', 'arm.length=1.9',
-        'motor.coulomb_friction=0.0', '--no-estimate', '--target', 'x86-64-v2')
+        'motor.coulomb_friction=0.0', '--no-estimate', '--target', 'x86-64-v2'
+    ).endswith(f'{path}\n')
     assert validate_fmu(str(path)) == []
     description = fmpy.read_model_description(path)
     names = {each.name for each in description.modelVariables}
