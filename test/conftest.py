@@ -19,9 +19,8 @@ from oracles.domains import own_domain
 from oracles.references import read
 from timo_sim.compiled.entry import EntryPoint
 from timo_sim.compiled.store import lock
-from timo_sim.model import functions
+from timo_sim.model.exact_code import Tables
 from timo_sim.scene import scene
-from timo_sim.steps import derivatives, etdrk4, lanes
 
 ROOT = Path(__file__).resolve().parents[1]
 PAPER = ROOT / 'config' / 'paper.yaml'
@@ -49,22 +48,23 @@ OF_ONE_SIZE = {
     'log', 'ros', 'tools', 'test_code_store.py', 'test_compiled.py', 'test_composition.py',
     'test_export.py', 'test_export_fmu.py', 'test_export_web.py', 'test_gpu.py',
     'test_hardware.py', 'test_sweep.py', 'test_sweep_command.py', 'test_threads.py'}
-LIKE_A_RUN = {module.__name__ for module in (functions, etdrk4, lanes, derivatives)}
 
 
 @pytest.fixture(autouse=True, scope='module')
 def any_size(request):
     """
-    Let runs of most tests use code for any size, which takes twice as long and is compiled once.
+    Let most tests run code for any size of `exact`, which is half as fast and compiled once.
 
     For a size LLVM takes longer than 50 000 steps. The two differ in round-off (test_compiled.py).
     """
-    of = EntryPoint.of
+    own = EntryPoint.of
+
+    def of(entry, *constants, any_size=False):
+        return own(entry, *constants, any_size=any_size or (
+            bool(constants) and constants[0].kind is Tables))
     with pytest.MonkeyPatch.context() as patch:
         if not OF_ONE_SIZE & {*request.path.relative_to(ROOT).parts}:
-            patch.setattr(EntryPoint, 'of', lambda entry, *constants, any_size=False: of(
-                entry, *constants, any_size=any_size or (
-                    bool(constants) and entry.__module__ in LIKE_A_RUN)))
+            patch.setattr(EntryPoint, 'of', of)
         yield
     scene._shared_model.cache_clear()  # which have code of this kind
 
