@@ -139,7 +139,7 @@ def test_the_estimate_of_an_arm_soft_in_shear_is_its_distance_to_the_elastica(ra
 
 
 def test_a_rigid_arm_has_no_shape_of_shear():
-    """A tip torque on a rigid arm whose section is soft in shear turns arm and shaft as one body."""
+    """A tip torque on a rigid arm whose section is soft in shear turns all as one body."""
     scene = timo_sim.load_scene({}, {
         'model.modes': 0, 'arm.section.bending_stiffness': 50.0,
         'arm.section.shear_stiffness': 50.0, 'arm.section.mass_per_length': 1.0,
