@@ -7,27 +7,27 @@ from __future__ import annotations
 
 from collections.abc import Mapping, Sequence
 from dataclasses import replace
-import math
+from functools import partial
 from typing import Any
 
 import numpy as np
 from numpy.typing import ArrayLike
 
 from timo_sim.compiled.constants import pack
-from timo_sim.model.differences import differences
 from timo_sim.model.formulation import Formulation, PointsOfArm
 from timo_sim.model.functions import Flow
-from timo_sim.model.layout import INPUTS, Motion
-from timo_sim.runs.linear import difference_steps, state_names
+from timo_sim.model.layout import AFTER, INPUTS, Motion
+from timo_sim.runs.linear import state_names
 from timo_sim.scene.parameters import (
     checked, MAPPING, Parameter, ParameterError, PARAMETERS, short, TEXTS, warn, whole_ratio)
 from timo_sim.scene.scene import load_scene, SceneLike
 from timo_sim.simulation.loads import (
     ARGUMENTS, check_arguments, commanded_load, unit_loads)
 from timo_sim.simulation.simulator import Simulator, Stateful
-from timo_sim.simulation.snapshot import FIRST_AXES, Joints, variance
+from timo_sim.simulation.snapshot import FIRST_AXES, Joints
 from timo_sim.simulation.warnings import DivergenceError
-from timo_sim.steps.kalman import correct, Filter, predict, SENSED
+from timo_sim.steps.derivatives import entry_for
+from timo_sim.steps.kalman import Filter, SENSED, UPDATES
 from timo_sim.topics.outputs import SENSORS
 
 _SENSORS = {sensor.name: sensor for sensor in SENSORS}
@@ -35,9 +35,7 @@ _SENSORS = {sensor.name: sensor for sensor in SENSORS}
 _STRAIN, _OF_FRICTION = 1e-5, 0.5
 _FIRST_ANGLE = 0.01    # deviation of shaft and sections at first [rad]
 _OF_RIGID_ARM = 10.0   # frequency in place of that of the first mode [rad/s]
-# Root of the mean square of normalised innovations that is a warning, over how many numbers the
-# mean is taken, and as what larger ones count.
-_INCONSISTENT, _MEMORY, _OUTLIER = 2.0, 200.0, 10.0
+_INCONSISTENT = 2.0    # root of the mean square of normalised innovations that is a warning
 _NAME = Parameter('', '', '', '', choices=(*_SENSORS,))
 _READING = Parameter('measured', (), '', '', alone=True)
 _DT = Parameter('dt', 0.0, 's', '', low=0.0, high=PARAMETERS['duration'].high)
@@ -73,9 +71,6 @@ class Observer(Stateful, PointsOfArm):
     sensors : tuple of str
     states : tuple of str
         Names of the m estimated numbers with units: free coordinates, their rates, disturbances.
-    innovation, normalised_innovation : ndarray, shape (y,)
-        Of the last update, what was measured less what was expected; the second is whitened by its
-        covariance: independent and standard normal if the model is right.
     warning : str or None
         Why the estimate should not be trusted; given as a ModelWarning, too, once.
 
@@ -101,8 +96,10 @@ class Observer(Stateful, PointsOfArm):
                  disturbance: Mapping[str, Sequence[float]] | None = None) -> None:
         scene = load_scene(scene)
         self._values, model = dict(scene.values), scene.build()
-        noisy = [name for name, sensor in _SENSORS.items() if variance(scene.values, name)
-                 and (model.gear or not sensor.of_gear)]
+        errors = scene.sensor_errors
+        noise = np.sqrt(errors.noise**2 + errors.resolution**2 / 12.0)[:SENSED]
+        noisy = [name for name, axis in FIRST_AXES.items() if axis < SENSED and noise[axis]
+                 and (model.gear or not _SENSORS[name].of_gear)]
         self.sensors = tuple(noisy if sensors is None else sensors)
         for name in self.sensors:
             replace(_NAME, name='sensors').check(name)
@@ -120,30 +117,32 @@ class Observer(Stateful, PointsOfArm):
             raise ParameterError("disturbance must be such as {'tip_force': (0.1, 0.2)}, got "
                                  f'{short(given)}; where only the arm moves it must be given')
         columns = [np.ravel(ARGUMENTS[name]) for name in pairs]
-        deviations, self._times = np.repeat([*pairs.values()], [*map(len, columns)], 0).T
+        deviations, times = np.repeat([*pairs.values()], [*map(len, columns)], 0).T
+        with np.errstate(divide='ignore'):  # a time of 0 means another value in each update
+            fade = np.exp(-scene.step / times)
         self._places = model.free_places
-        # Of differences; loads act linearly.
-        self._steps = np.append(difference_steps(model)[self._places], np.ones(len(self._times)))
         self.states = (*state_names(model), *(
             f'disturbance_{INPUTS[column].column}' for column in np.concatenate(columns)))
-        self._noise = {name: np.sqrt(variance(scene.values, name)) for name in self.sensors}
         count, inputs = len(self.states), len(deviations)
         readings = sum(len(_SENSORS[name].columns) for name in self.sensors)
         room = np.zeros(2 * [count + max(readings, inputs)])
         self._known = pack(Filter(
             motion=np.zeros(model.size), gravity=model.gravity, places=self._places,
-            unit=unit_loads(scene.values, pairs), deviation=deviations, fade=np.zeros(inputs),
+            unit=unit_loads(scene.values, pairs), deviation=deviations, fade=fade,
             disturbance=np.zeros(inputs),
             root=np.diag([*_first_deviations(model)[self._places], *deviations]),
-            axis=np.zeros(readings, dtype=int), noise=np.zeros(readings),
+            noise=noise, bias=errors.bias[:SENSED], axis=np.zeros(readings, dtype=int),
             shown=np.zeros(readings), expected=np.zeros(readings),
             slope=np.zeros((readings, count)), normalised=np.zeros(readings),
-            joint=room, lower=room))
-        self._go_on, self._faded = predict.of(self._known), math.nan
-        self._corrected: tuple[Any, Any] = None, None  # the model of `correct`, and its call
+            square=np.ones(1), joint=room, lower=room,
+            found=np.zeros((model.size + inputs, model.size))))
         self.simulator = Simulator(scene)
-        self.innovation = self.normalised_innovation = np.zeros(0)
-        self._square, self.warning = 1.0, self.simulator.warning
+        # The compiled updates by these steps, by sector; and how many numbers the last one took.
+        self._updates: tuple[Any, dict] = None, {}
+        self._taken, self.warning = 0, self.simulator.warning
+
+    def __getstate__(self):
+        return {**super().__getstate__(), '_updates': (None, {})}
 
     @property
     def motion(self) -> Motion:
@@ -187,9 +186,19 @@ class Observer(Stateful, PointsOfArm):
         self._root[:] = root
 
     @property
+    def innovation(self) -> np.ndarray:
+        """Of the last update, what was measured less what was expected, shape (y,)."""
+        return (self._known.shown - self._known.expected)[:self._taken]
+
+    @property
+    def normalised_innovation(self) -> np.ndarray:
+        """The same, whitened: independent and standard normal if the model is right."""
+        return self._known.normalised[:self._taken].copy()
+
+    @property
     def consistency(self) -> float:
         """Root of the mean square of some 200 last normalised innovations; 1 if all is right."""
-        return float(np.sqrt(self._square))
+        return float(np.sqrt(self._known.square[0]))
 
     @property
     def deflection_deviation(self) -> np.ndarray:
@@ -202,8 +211,10 @@ class Observer(Stateful, PointsOfArm):
     def expected(self, sensor: str) -> np.ndarray:
         """Return what any sensor of the arm should show now, without noise, shape (axes,)."""
         replace(_NAME, name='expected').check(sensor)
-        return self._values[f'sensor.{sensor}.bias'] + self._readings(
-            [sensor], self.motion.values[np.newaxis], self.disturbance[np.newaxis])[0]
+        load = self.simulator.integration.acting(self.simulator.load)
+        joints = Joints(self.model, self.motion.values[np.newaxis],
+                        (load + self.disturbance @ self._known.unit)[np.newaxis])
+        return self._values[f'sensor.{sensor}.bias'] + _SENSORS[sensor].of_joints(joints)[0]
 
     @checked(measured=MAPPING, command=MAPPING)
     def update(self, measured: Mapping[str, Any], command: Mapping[str, Any] | None = None,
@@ -229,87 +240,59 @@ class Observer(Stateful, PointsOfArm):
             As by `Simulator.step`, or if the estimate is not finite.
 
         """
-        shown = {name: self._checked(name, value) for name, value in measured.items()}
-        step = self.simulator.scene.step
-        dt = step if dt is None else _DT.check(dt)
-        count, known = whole_ratio('dt', dt, 'integrator.step', step), self._known
-        if count:
-            found = self.simulator._advance_with_derivatives(
-                count, commanded_load(self._values, **(command or {})), known.unit)
-        known.motion[:] = self.motion.values
-        if count:
-            self._predict(dt, found)
-        if shown:
-            self._correct(shown)
-        if not np.isfinite(known.motion).all():
-            raise DivergenceError(f'the estimate is not finite at t = {self.simulator.t:g} s')
-        if count or shown:
-            self.simulator.set_motion(known.motion)
-        return Motion(known.motion.copy())
-
-    def _checked(self, name, value):
-        self._name.check(name)
-        rule, count = self._rules[name], len(_SENSORS[name].columns)
-        numbers = np.array(rule.check(value))
-        if len(numbers) != count:
-            raise ParameterError(f'{rule.name} must have {count} number(s), got {short(value)}')
-        return numbers
-
-    def _predict(self, dt, found):
-        """Go on by the derivatives of steps."""
-        if dt != self._faded:
-            with np.errstate(divide='ignore'):  # a time of 0 means another value in each update
-                self._known.fade[:], self._faded = np.exp(-dt / self._times), dt
-        self._go_on(np.ascontiguousarray(found.T))
-
-    def _correct(self, shown):
-        """Take what was measured."""
-        known, simulator, count = self._known, self.simulator, 0
-        for name, numbers in shown.items():
-            for axis, number in enumerate(numbers, FIRST_AXES[name]):
-                known.axis[count], known.noise[count] = axis, self._noise[name]
-                known.shown[count] = number - self._values[f'sensor.{name}.bias']
-                count += 1
-        self._expect_others(shown, count)
-        model, call = self._corrected
-        if model is not self.model:
-            model, call = self._corrected = self.model, correct.of(
-                self.model.packed, pack(Flow(self.model.linear, self.model.points.rotation)),
-                pack(self.model.root), known)
-        call(simulator.integration.acting(simulator.load), count)
-        self.innovation = known.shown[:count] - known.expected[:count]
-        self.normalised_innovation = known.normalised[:count].copy()
-        for number in self.normalised_innovation.tolist():
-            self._square += (min(number**2, _OUTLIER**2) - self._square) / _MEMORY
-        if self.consistency > _INCONSISTENT and not self.warning:
+        shown = {}  # by axis
+        for name, value in measured.items():
+            shown.update(enumerate(self._checked(name, value), FIRST_AXES[name]))
+        simulator, known = self.simulator, self._known
+        count = 1 if dt is None else whole_ratio(
+            'dt', _DT.check(dt), 'integrator.step', simulator.scene.step)
+        commanded = commanded_load(self._values, **(command or {}))
+        with self._lock:
+            simulator._advance_with(partial(self._advance, count, shown), count, commanded)
+        if known.square[0] > _INCONSISTENT**2 and not self.warning:
             self.warning = (
                 f'measurements differ {self.consistency:.1f} times as much from expected ones as '
                 'the covariance says: the model, the noise of sensors or the disturbance is wrong')
             warn(self.warning)
+        return Motion(known.motion.copy())
 
-    def _expect_others(self, shown, count):
-        """Set what sensors should show that compiled code does not know, by differences."""
-        known, free = self._known, len(self._places)
-        others = [name for name in shown if FIRST_AXES[name] >= SENSED]
+    def _checked(self, name, value):
+        if name not in self._rules:
+            self._name.check(name)
+        rule, count = self._rules[name], len(_SENSORS[name].columns)
+        numbers = rule.check(value)
+        if len(numbers) != count:
+            raise ParameterError(f'{rule.name} must have {count} number(s), got {short(value)}')
+        return numbers
 
-        def moved(shifts):
-            motions = np.tile(known.motion, (len(shifts), 1))
-            motions[:, self._places] += shifts[:, :free]
-            return self._readings(others, motions, known.disturbance + shifts[:, free:])
-        if others:
-            rows = np.flatnonzero(known.axis[:count] >= SENSED)
-            known.expected[rows], known.slope[rows], _ = differences(moved, self._steps)
+    def _advance(self, steps, shown, state, load, loads, _, since):
+        """Do what `Steps.advance` does; after all `steps` take what was shown."""
+        done, readings, simulator, known = 0, 0, self.simulator, self._known
+        if since + len(loads) == steps and shown:
+            readings = self._taken = len(shown)
+            known.axis[:readings], known.shown[:readings] = [*shown], [*shown.values()]
+        while True:
+            following = loads[done:] if done else loads
+            reached = self._update(self.model.sector(state, load))(
+                state, simulator.integration.memory, load, following, len(following), readings)
+            if reached < 0 and not steps:
+                raise DivergenceError(f'the estimate is not finite at t = {simulator.t:g} s')
+            done += reached
+            if reached < 0 or done == len(loads):
+                return done
+            load = loads[done - 1, AFTER]  # the shaft has turned into another sector
 
-    def _readings(self, names, motions, disturbances):
-        """Return what sensors should show, less their bias, in motions with disturbances."""
-        model, sensors = self.model, [_SENSORS[name] for name in names]
-        if all(sensor.of_motion for sensor in sensors):
-            shown = [sensor.of_motion(model, motions)[:, np.newaxis] for sensor in sensors]
-        else:
-            acting = self.simulator.integration.acting(self.simulator.load)
-            joints = Joints(model, motions, acting + disturbances @ self._known.unit)
-            shown = [sensor.of_joints(joints) for sensor in sensors]
-        return np.hstack(shown)
+    def _update(self, sector):
+        """Return the compiled update by the present steps, in a sector."""
+        steps, calls = self._updates
+        if steps is not self.simulator.integration:
+            steps, calls = self._updates = self.simulator.integration, {}
+        if sector not in calls:
+            model, (_, linear) = steps.model, steps.model.in_sector(sector)
+            calls[sector] = entry_for(model, UPDATES).of(
+                *steps.part(sector), steps.bristles, pack(Flow(linear, model.points.rotation)),
+                pack(model.root), self._known)
+        return calls[sector]
 
 
 def _first_frequency(model):

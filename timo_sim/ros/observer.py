@@ -159,9 +159,9 @@ class ObserverNode(ParameterNode):
         elif step < simulator.steps:
             self.count_failure(f'{", ".join(shown)} of {1e-9 * stamp:.9g} s', 'late')
             return
-        elif step > simulator.steps:
-            self._go_on((step - simulator.steps) * simulator.scene.step)
-        self._observer.update(shown, dt=0.0)
+        ahead = step - self._observer.simulator.steps
+        self._observer.update(shown, self._acting() if ahead else {},
+                              ahead * simulator.scene.step)
         self._count['used'] += 1
         self._stamps[sensors[0].topic] = stamp
         self._publish(stamp)
@@ -176,15 +176,16 @@ class ObserverNode(ParameterNode):
         begun.simulator.steps = step  # at which the scene's own loads act
         self._observer, self._begun = begun, True
 
-    def _go_on(self, dt):
+    def _acting(self):
+        """Return what commands act until the next measurement, as `Observer.update` takes them."""
         simulator = self._observer.simulator
         self._commands.apply(simulator.steps, self._timeout, self._commanded)
         load = load_of_commands(self._commanded, simulator)
         theta = float(simulator.motion.shaft)
-        self._observer.update({}, {
+        return {
             'force': place(load[FORCE_X], load[FORCE_Y], theta, load[FORCE_I], load[FORCE_II]),
             'tip_force': place(load[TIP_X], load[TIP_Y], theta, load[TIP_I], load[TIP_II]),
-            'torque': load[TORQUE], 'tip_torque': load[TIP_TORQUE], 'voltage': load[VOLTAGE]}, dt)
+            'torque': load[TORQUE], 'tip_torque': load[TIP_TORQUE], 'voltage': load[VOLTAGE]}
 
     def _publish(self, stamp):
         snapshot = self._observer.simulator.snapshot()

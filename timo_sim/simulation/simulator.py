@@ -31,7 +31,7 @@ from timo_sim.simulation.snapshot import Sensors, Snapshot
 from timo_sim.simulation.warnings import DivergenceError
 from timo_sim.steps.derivatives import step_derivatives
 from timo_sim.steps.sensors import add_errors
-from timo_sim.steps.steps import CHUNK, Samples, Steps
+from timo_sim.steps.steps import CHUNK, NO_LOADS, Samples, Steps
 
 # Deflection beyond which the run counts as diverged, in arm lengths.
 MOST_BENT = 10.0
@@ -313,33 +313,33 @@ class Simulator(Stateful, PointsOfArm):
         unit = unit_loads(self.scene.values, inputs)
         commanded = commanded_load(self.scene.values, **commands)
         count = 1 if duration is None else steps_in(duration, self.scene.step)
-        found, size = self._advance_with_derivatives(count, commanded, unit), self.model.size
-        return StepDerivatives(found[:, :size], found[:, size:])
+        found: Any = None
 
-    def _advance_with_derivatives(self, count: int, commanded: np.ndarray, unit: np.ndarray,
-                                  earlier: Any = None) -> np.ndarray:
+        def advance(state, load, loads, *others):
+            nonlocal found
+            found = step_derivatives(self.integration, state, load, loads, unit, found)
+            return self.integration.advance(state, load, loads, *others)
+        self._advance_with(advance, count, commanded)
+        return StepDerivatives(*np.split(found[0], [self.model.size], axis=1))
+
+    def _advance_with(self, advance: Callable[..., int], count: int,
+                      commanded: np.ndarray) -> None:
         """
-        Advance by `count` steps; return the derivatives of the motion at the end.
+        Advance by `count` steps, or none, by a function that takes the place of `Steps.advance`.
 
-        `unit`, (k, LOADS), is what one of each input adds to all loads; the shape is
-        (2 (3 + N), 2 (3 + N) + k), see `step_derivatives`, also for `earlier`.
+        It needs derivatives: raises ParameterError if a load is picked up at rest in these steps.
         """
         with self._lock:
-            first = self.steps - self._origin
-            if self._next_tip < first + count:
-                if self.scene.values['end_effector.pick_up'] == 'at_rest':
-                    raise ParameterError(
-                        'derivatives of steps need end_effector.pick_up = moving, but a load is '
-                        f'picked up at rest at step {self._next_tip}')
-                self._change_tip(first)  # if it is due; the motion stays
-            part = min(count, self._next_tip - first)
-            loads = self._table.stages(first, part, commanded)
-            found = step_derivatives(
-                self.integration, self._state, self._load, loads, unit, earlier)
-            self.advance(part, commanded)
-            if part < count:
-                return self._advance_with_derivatives(count - part, commanded, unit, found)
-        return found[0]
+            samples = self.integration.samples(0, 0)
+            if not count:
+                advance(self._state, self._load, NO_LOADS, samples, 0)
+            elif (self._next_tip < self.steps - self._origin + count
+                    and self.scene.values['end_effector.pick_up'] == 'at_rest'):
+                raise ParameterError(
+                    'derivatives of steps need end_effector.pick_up = moving, but a load is '
+                    f'picked up at rest at step {self._next_tip}')
+            else:
+                self._advance(count, commanded, samples, advance)
 
     def set_motion(self, motion: Motion | ArrayLike) -> None:
         """
@@ -386,7 +386,7 @@ class Simulator(Stateful, PointsOfArm):
             self._advance(count, commanded, samples)
             return samples.motions, samples.heat
 
-    def _advance(self, count, commanded, samples):
+    def _advance(self, count, commanded, samples, advance=None):
         # After a DivergenceError the samples have what they should until the last good step.
         before = (self._state.copy(), self._load.copy(), self.integration.memory.copy(),
                   self.tip_load, self.model, self.integration)
@@ -396,7 +396,8 @@ class Simulator(Stateful, PointsOfArm):
             sample = self._change_tip(number) if self._next_tip <= number else None
             part = min(count - done, CHUNK, self._next_tip - number)
             loads = self._table.stages(number, part, commanded)
-            reached = self.integration.advance(self._state, self._load, loads, samples, done)
+            reached = (advance or self.integration.advance)(
+                self._state, self._load, loads, samples, done)
             if sample is not None and samples.every and done % samples.every == 0:
                 samples.motions[done // samples.every] = sample  # that before the load changes
             self._load[:] = loads[-1, AFTER]

@@ -145,6 +145,14 @@ def memory_at(values: np.ndarray, swing: np.ndarray, speeds: np.ndarray) -> np.n
 
 
 @inner
+def add_friction(memory, load):
+    """Add the dry friction that steps hand on to a load."""
+    for i in range(BRISTLES):
+        load[COLUMNS[i]] += memory[i]
+    load[MOTOR_FRICTION] += memory[ROTOR]
+
+
+@inner
 def _share(bristles, n, speed):
     """Return friction at a speed over that in fast motion."""
     found = 1.0

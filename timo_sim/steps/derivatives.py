@@ -83,6 +83,7 @@ def _set_slopes(tables, places, state, memory_slopes, now, room, slopes, columns
         _get(now, first, last, slopes)
 
 
+@inner
 def differentiate(tables, propagator, bristles, places, begins, state, memory, slopes,
                   memory_slopes, load, loads, count, unit, inputs, out):
     """
@@ -163,7 +164,7 @@ def differentiate(tables, propagator, bristles, places, begins, state, memory, s
 
 
 # By the size of duals.
-_ENTRIES = {size: EntryPoint(differentiate, {
+ENTRIES = {size: EntryPoint(differentiate.function, {
     'tables': Constants(duals=size), 'propagator': Constants(duals=size),
     'bristles': Constants(duals=size), 'places': Array(('state',), whole=True), 'begins': int,
     'state': Array(('state',)), 'memory': Array((MEMORY,)), 'slopes': Array((None, 'state')),
@@ -173,10 +174,10 @@ _ENTRIES = {size: EntryPoint(differentiate, {
     f'differentiate_{size}') for size in range(8, 33, 4)}
 
 
-def entry_for(model: Formulation) -> EntryPoint:
-    """Return `differentiate` for duals with derivatives by motion and loads of joints."""
+def entry_for(model: Formulation, entries: dict[int, EntryPoint] = ENTRIES) -> EntryPoint:
+    """Return the entry for duals with derivatives by motion and loads of joints."""
     wanted = 1 + len(model.linear) + len(model.axes) + 1 - model.driven
-    return _ENTRIES[min(max(wanted + -wanted % 4, 8), max(_ENTRIES))]
+    return entries[min(max(wanted + -wanted % 4, 8), max(entries))]
 
 
 def step_derivatives(steps: Steps, state: np.ndarray, load: np.ndarray, loads: np.ndarray,

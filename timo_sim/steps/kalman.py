@@ -13,17 +13,21 @@ from typing import Annotated, NamedTuple
 import numpy as np
 
 from timo_sim.compiled.constants import local_arrays
-from timo_sim.compiled.entry import entry_point
+from timo_sim.compiled.entry import EntryPoint
 from timo_sim.compiled.functions import (
-    Array, as_vectors, Constants, inner, square_root, sum_of, with_derivatives)
-from timo_sim.model.functions import (
-    accelerate, copy, effort, root_forces, root_strain, rotor_turn, sincos, state_of, tip,
-    tip_rate)
-from timo_sim.model.layout import LOADS
+    Array, as_vectors, Constants, inner, square_root, sum_of, with_derivatives,
+    without_derivatives)
+from timo_sim.model.functions import copy, observe, rotor_turn, state_of, tip, tip_rate
+from timo_sim.model.layout import AFTER, LOADS, STEP_LOADS
+from timo_sim.steps.bristles import add_friction, MEMORY
+from timo_sim.steps.derivatives import differentiate, ENTRIES
+from timo_sim.steps.etdrk4 import is_finite
+from timo_sim.steps.sensors import sense_forces
 
 # Axes of the first entries of `topics.outputs.SENSORS`; those before _OF_MOTION need forces.
 SENSED, _OF_MOTION = 6, 3
-_SIZE = 16  # of duals
+# Over how many numbers the mean of squares is taken, and as what larger squares count.
+_MEANT, _LARGEST = 200.0, 100.0
 
 
 class Filter(NamedTuple):
@@ -34,18 +38,28 @@ class Filter(NamedTuple):
     places: Annotated[np.ndarray, int, 'state']   # of the free coordinates and rates in a motion
     unit: Annotated[np.ndarray, 'disturbances', LOADS]  # what one of each adds to a load
     deviation: Annotated[np.ndarray, 'disturbances']
-    fade: Annotated[np.ndarray, 'disturbances']   # what is left of each after the time of steps
+    fade: Annotated[np.ndarray, 'disturbances']   # what is left of each after a step
     disturbance: Annotated[np.ndarray, 'disturbances']
     root: Annotated[np.ndarray, 'estimated', 'padded_estimated']  # L
-    # Of each number that is measured: its axis or, if SENSED or more, what is expected is given.
-    axis: Annotated[np.ndarray, int, 'readings']
-    noise: Annotated[np.ndarray, 'readings']
+    noise: Annotated[np.ndarray, SENSED]  # of sensors, by axis
+    bias: Annotated[np.ndarray, SENSED]
+    axis: Annotated[np.ndarray, int, 'readings']  # of each number that is measured
     shown: Annotated[np.ndarray, 'readings']
     expected: Annotated[np.ndarray, 'readings']
     slope: Annotated[np.ndarray, 'readings', 'estimated']
     normalised: Annotated[np.ndarray, 'readings']  # innovations
+    square: Annotated[np.ndarray, 1]  # mean of their squares
     joint: Annotated[np.ndarray, 'joint', 'padded_joint']   # room for a factor, and for its L
     lower: Annotated[np.ndarray, 'joint', 'padded_joint']
+    found: Annotated[np.ndarray, 'moved', 'motion']  # derivatives by motion and disturbances
+
+
+class _Room(NamedTuple):
+    """Work arrays: derivatives of `differentiate`, and a load with dry friction."""
+
+    slopes: Annotated[np.ndarray, 'estimated', 'state']
+    memory_slopes: Annotated[np.ndarray, 'estimated', MEMORY]
+    acting: Annotated[np.ndarray, LOADS]
 
 
 class _Seen(NamedTuple):
@@ -105,29 +119,27 @@ def _take(known, first, root):
             root[i, j] = known[first + i, first + j]
 
 
-@entry_point(known=Constants(), found=Array((None, 'motion')))
-def predict(known, found):
-    """
-    Go on by steps that were done: `motion` is that after them, without disturbances.
-
-    `found` are the derivatives by the motion before them and by the disturbances, in rows.
-    """
-    places, joint, root, fade = known.places, known.joint, known.root, known.fade
-    states, size = len(root), len(known.motion)
-    free = len(places)
+@inner
+def _predict(known, steps):
+    """Go on by steps that were done: `motion` is that after them, without disturbances."""
+    places, joint, root, found = known.places, known.joint, known.root, known.found
+    states, size, free = len(root), len(known.motion), len(places)
     _clear(joint)
     for i in range(free):
         for j in range(free):
             _add_rows(found[places[j], places[i]], root, j, joint, i)
     for d in range(states - free):
-        known.disturbance[d] *= fade[d]
-        noise = known.deviation[d] * square_root(1.0 - fade[d] * fade[d])
+        fade = 1.0
+        for _ in range(steps):
+            fade *= known.fade[d]
+        known.disturbance[d] *= fade
+        noise = known.deviation[d] * square_root(1.0 - fade * fade)
         for i in range(free):
             slope = found[size + d, places[i]]
             known.motion[places[i]] += slope * known.disturbance[d]
-            _add_rows(fade[d] * slope, root, free + d, joint, i)
+            _add_rows(fade * slope, root, free + d, joint, i)
             joint[i, states + d] = noise * slope
-        _add_rows(fade[d], root, free + d, joint, free + d)
+        _add_rows(fade, root, free + d, joint, free + d)
         joint[free + d, states + d] = noise
     _factorise(joint, states, known.lower)
     _take(known.lower, 0, root)
@@ -144,16 +156,9 @@ def _sense(tables, flow, root, gravity, forces, seen):
     axes[5] = rotor_turn(root, motion, 0)
     if forces:
         state_of(tables, motion, seen.state)
-        x, y = accelerate(tables, flow, motion, seen.state, seen.load, seen.accelerations)
-        sine, cosine = sincos(motion[2] + seen.tip[2])
-        x, y = x - gravity[0], y - gravity[1]
-        for k in range(2):
-            seen.accelerations[k] -= gravity[k]
-        effort(tables, motion, seen.accelerations, seen.load, seen.needed)
-        force, moment = root_forces(
-            tables, root, motion, seen.accelerations, seen.needed, seen.load)
-        axes[0] = root_strain(root, motion, force, moment)
-        axes[1], axes[2] = cosine * x + sine * y, cosine * y - sine * x
+        axes[0], axes[1], axes[2] = sense_forces(
+            tables, flow, root, gravity, motion, motion[2] + seen.tip[2], seen.state, seen.load,
+            seen.accelerations, seen.needed)
 
 
 @inner
@@ -181,15 +186,13 @@ def _expect(tables, flow, root, known, acting, count):
                     by_load[i, 1 + k - first] = known.unit[k - free, i]
         _sense(tables, flow, root, known.gravity, forces, seen)
         for r in range(count):
-            if known.axis[r] < SENSED:
-                known.expected[r] = found[known.axis[r], 0]
-                for k in range(first, last):
-                    known.slope[r, k] = found[known.axis[r], 1 + k - first]
+            known.expected[r] = found[known.axis[r], 0] + known.bias[known.axis[r]]
+            for k in range(first, last):
+                known.slope[r, k] = found[known.axis[r], 1 + k - first]
 
 
-@entry_point(tables=Constants(duals=_SIZE), flow=Constants(duals=_SIZE),
-             root=Constants(duals=_SIZE), known=Constants(), acting=Array((LOADS,)), count=int)
-def correct(tables, flow, root, known, acting, count):
+@inner
+def _correct(tables, flow, root, known, acting, count):
     """Take the first `count` numbers that are `shown` in the motion, under a load that acts."""
     joint, lower, states = known.joint, known.lower, len(known.root)
     free = len(known.places)
@@ -199,7 +202,7 @@ def correct(tables, flow, root, known, acting, count):
     for r in range(count):
         for k in range(states):
             _add_rows(known.slope[r, k], known.root, k, joint, r)
-        joint[r, states + r] = known.noise[r]
+        joint[r, states + r] = known.noise[known.axis[r]]
     for i in range(states):
         _add_rows(1.0, known.root, i, joint, count + i)
     _factorise(joint, count + states, lower)
@@ -208,6 +211,8 @@ def correct(tables, flow, root, known, acting, count):
         for s in range(r):
             left -= lower[r, s] * known.normalised[s]
         known.normalised[r] = left / lower[r, r]
+        square = known.normalised[r] * known.normalised[r]
+        known.square[0] += (min(square, _LARGEST) - known.square[0]) / _MEANT
         for i in range(states):
             change = lower[count + i, r] * known.normalised[r]
             if i < free:
@@ -215,3 +220,41 @@ def correct(tables, flow, root, known, acting, count):
             else:
                 known.disturbance[i - free] += change
     _take(lower, count, known.root)
+
+
+def update(tables, propagator, bristles, flow, root, known, state, memory, load, loads, count,
+           readings):
+    """
+    Go on by `count` steps, then take the first `readings` numbers that are `shown`.
+
+    State, memory and loads are those of `etdrk4.advance`. Return the steps done: fewer if the
+    linear part of the tables is not the one for the state after them, and then nothing is taken;
+    -1 if the state is not finite.
+    """
+    plain, room = without_derivatives(tables), local_arrays(_Room, known)
+    motion, done = known.motion, 0
+    if count > 0:
+        done = differentiate(
+            tables, propagator, bristles, known.places, 1, state, memory, room.slopes,
+            room.memory_slopes, load, loads, count, known.unit, len(known.unit), known.found)
+        load = loads[done - 1, AFTER]
+    observe(plain, state, load, motion)
+    if not is_finite(motion):
+        return -1
+    if done > 0:
+        _predict(known, done)
+    if done == count and readings > 0:
+        copy(load, room.acting)
+        add_friction(memory, room.acting)
+        _correct(tables, flow, root, known, room.acting, readings)
+    state_of(plain, motion, state)
+    return done if is_finite(motion) else -1
+
+
+# By the size of duals.
+UPDATES = {size: EntryPoint(update, {
+    **dict.fromkeys(('tables', 'propagator', 'bristles', 'flow', 'root'), Constants(duals=size)),
+    'known': Constants(), 'state': Array(('state',), own=True),
+    'memory': Array((MEMORY,), own=True), 'load': Array((LOADS,), own=True),
+    'loads': Array((None, STEP_LOADS, LOADS), own=True), 'count': int, 'readings': int},
+    f'update_{size}') for size in ENTRIES}

@@ -15,7 +15,8 @@ from typing import Annotated, NamedTuple
 import numpy as np
 
 from timo_sim.compiled.entry import entry_point
-from timo_sim.compiled.functions import Array, Constants, magnitude, square_root, strict
+from timo_sim.compiled.functions import Array, Constants, inner, magnitude, square_root, strict
+from timo_sim.model.functions import accelerate, effort, root_forces, root_strain, sincos
 
 
 class SensorErrors(NamedTuple):
@@ -27,6 +28,26 @@ class SensorErrors(NamedTuple):
     bias: Annotated[np.ndarray, 'sensor_axes']
     resolution: Annotated[np.ndarray, 'sensor_axes']
     delay: Annotated[np.ndarray, int, 'sensor_axes']  # until it is read [steps]
+
+
+@inner
+def sense_forces(tables, flow, root, gravity, motion, rotation, state, load, accelerations,
+                 needed):
+    """
+    Return the strain at the root and the specific force at the tip, along its axes.
+
+    `rotation` is that of the tip in the world; a load acts, dry friction included. Accelerations,
+    less gravity, and what they need, see `effort`, are written.
+    """
+    x, y = accelerate(tables, flow, motion, state, load, accelerations)
+    x, y = x - gravity[0], y - gravity[1]
+    for axis in range(2):
+        accelerations[axis] -= gravity[axis]
+    effort(tables, motion, accelerations, load, needed)
+    force, moment = root_forces(tables, root, motion, accelerations, needed, load)
+    sine, cosine = sincos(rotation)
+    return (root_strain(root, motion, force, moment), cosine * x + sine * y,
+            cosine * y - sine * x)
 
 
 _LOW = 0xFFFFFFFF  # the lower 32 bits
