@@ -89,11 +89,18 @@ static int fail(struct instance *me, int status, const char *format, ...)
     if (!(me->phase & (phases))) \
         return fail(me, ERROR, "%s must not be called in this state", __func__)
 
-/* End a function that serves `count` variables of a kind that this unit does not have. */
-static int absent(struct instance *me, size_t count, const char *function)
-{
-    return count ? fail(me, ERROR, "%s: this unit does not have that", function) : OK;
-}
+/* Define a function that serves `count` variables of a kind that this unit does not have. */
+#define ABSENT(name, count, ...) \
+    STATUS FMI(name)(__VA_ARGS__) \
+    { \
+        ENTER(instance, ANY); \
+        return (count) ? fail(me, ERROR, "%s: this unit does not have that", __func__) : OK; \
+    }
+
+#define ONE void *instance
+#define SOME void *instance, const unsigned references[], size_t count
+
+typedef const char *string;
 
 #define REQUIRE(condition, what) \
     if (!(condition)) \

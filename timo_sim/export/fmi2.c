@@ -97,42 +97,21 @@ fmi2Status fmi2DoStep(void *instance, double point, double size, int never_back)
     return step(me, point, size);
 }
 
-fmi2Status fmi2GetRealStatus(void *instance, const fmi2StatusKind kind, double *value)
-{
-    ENTER(instance, ANY);
-    if (kind != fmi2LastSuccessfulTime || !value)
-        return fmi2Discard;
-    *value = time_of(me);
-    return fmi2OK;
-}
-
-fmi2Status fmi2GetBooleanStatus(void *instance, const fmi2StatusKind kind, int *value)
-{
-    ENTER(instance, ANY);
-    if (kind != fmi2Terminated || !value)
-        return fmi2Discard;
-    *value = 0;
-    return fmi2OK;
-}
-
 /* What this unit does not have: variables of other types, derivatives, steps in the background. */
 
-typedef const char *string;
+ABSENT(GetInteger, count, SOME, int values[])
+ABSENT(SetInteger, count, SOME, const int values[])
+ABSENT(GetBoolean, count, SOME, int values[])
+ABSENT(SetBoolean, count, SOME, const int values[])
+ABSENT(GetString, count, SOME, string values[])
+ABSENT(SetString, count, SOME, const string values[])
+ABSENT(GetDirectionalDerivative, 1, ONE, const unsigned unknowns[], size_t results,
+       const unsigned knowns[], size_t causes, const double seed[], double sensitivity[])
+ABSENT(CancelStep, 1, ONE)
+ABSENT(SetRealInputDerivatives, count, SOME, const int orders[], const double values[])
+ABSENT(GetRealOutputDerivatives, count, SOME, const int orders[], double values[])
 
-#define NO_VARIABLES(name, type) \
-    fmi2Status fmi2Get##name(void *instance, const unsigned references[], size_t count, \
-                             type values[]) \
-    { \
-        ENTER(instance, ANY); \
-        return absent(me, count, __func__); \
-    } \
-    fmi2Status fmi2Set##name(void *instance, const unsigned references[], size_t count, \
-                             const type values[]) \
-    { \
-        ENTER(instance, ANY); \
-        return absent(me, count, __func__); \
-    }
-
+/* A master asks for the status of a step that was discarded or is pending, and none is. */
 #define NO_STATUS(name, type) \
     fmi2Status fmi2Get##name(void *instance, const fmi2StatusKind kind, type *value) \
     { \
@@ -140,37 +119,8 @@ typedef const char *string;
         return fmi2Discard; \
     }
 
-NO_VARIABLES(Integer, int)
-NO_VARIABLES(Boolean, int)
-NO_VARIABLES(String, string)
 NO_STATUS(Status, fmi2Status)
+NO_STATUS(RealStatus, double)
 NO_STATUS(IntegerStatus, int)
+NO_STATUS(BooleanStatus, int)
 NO_STATUS(StringStatus, string)
-
-fmi2Status fmi2GetDirectionalDerivative(void *instance, const unsigned unknowns[], size_t results,
-                                        const unsigned knowns[], size_t causes,
-                                        const double seed[], double sensitivity[])
-{
-    ENTER(instance, ANY);
-    return absent(me, 1, __func__);
-}
-
-fmi2Status fmi2SetRealInputDerivatives(void *instance, const unsigned references[], size_t count,
-                                       const int orders[], const double values[])
-{
-    ENTER(instance, ANY);
-    return absent(me, count, __func__);
-}
-
-fmi2Status fmi2GetRealOutputDerivatives(void *instance, const unsigned references[], size_t count,
-                                        const int orders[], double values[])
-{
-    ENTER(instance, ANY);
-    return absent(me, count, __func__);
-}
-
-fmi2Status fmi2CancelStep(void *instance)
-{
-    ENTER(instance, ANY);
-    return absent(me, 1, __func__);
-}

@@ -109,27 +109,10 @@ fmi3Status fmi3DoStep(void *instance, double point, double size, bool never_back
  * states.
  */
 
-#define ABSENT(name, count, ...) \
-    fmi3Status fmi3##name(void *instance, __VA_ARGS__) \
-    { \
-        ENTER(instance, ANY); \
-        return absent(me, count, __func__); \
-    }
-
-#define NO_MODE(name) \
-    fmi3Status fmi3##name(void *instance) \
-    { \
-        ENTER(instance, ANY); \
-        return absent(me, 1, __func__); \
-    }
-
-#define SOME const uint32_t references[], size_t count
-
 #define NO_VARIABLES(name, type) \
     ABSENT(Get##name, count, SOME, type values[], size_t value_count) \
     ABSENT(Set##name, count, SOME, const type values[], size_t value_count)
 
-typedef const char *string;
 typedef const uint8_t *binary;
 
 NO_VARIABLES(Float32, float)
@@ -158,33 +141,34 @@ ABSENT(SetIntervalFraction, count, SOME, const uint64_t counters[], const uint64
 ABSENT(SetShiftDecimal, count, SOME, const double shifts[])
 ABSENT(SetShiftFraction, count, SOME, const uint64_t counters[], const uint64_t resolutions[])
 
-ABSENT(GetNumberOfVariableDependencies, 1, uint32_t reference, size_t *count)
-ABSENT(GetVariableDependencies, 1, uint32_t dependent, size_t elements[], uint32_t independents[],
-       size_t elements_of_independents[], fmi3DependencyKind kinds[], size_t count)
-ABSENT(GetDirectionalDerivative, 1, const uint32_t unknowns[], size_t unknown_count,
+ABSENT(GetNumberOfVariableDependencies, 1, ONE, uint32_t reference, size_t *count)
+ABSENT(GetVariableDependencies, 1, ONE, uint32_t dependent, size_t elements[],
+       uint32_t independents[], size_t elements_of_independents[], fmi3DependencyKind kinds[],
+       size_t count)
+ABSENT(GetDirectionalDerivative, 1, ONE, const uint32_t unknowns[], size_t unknown_count,
        const uint32_t knowns[], size_t known_count, const double seed[], size_t seed_count,
        double sensitivity[], size_t sensitivity_count)
-ABSENT(GetAdjointDerivative, 1, const uint32_t unknowns[], size_t unknown_count,
+ABSENT(GetAdjointDerivative, 1, ONE, const uint32_t unknowns[], size_t unknown_count,
        const uint32_t knowns[], size_t known_count, const double seed[], size_t seed_count,
        double sensitivity[], size_t sensitivity_count)
 ABSENT(GetOutputDerivatives, count, SOME, const int32_t orders[], double values[],
        size_t value_count)
 
-NO_MODE(EnterConfigurationMode)
-NO_MODE(ExitConfigurationMode)
-NO_MODE(EnterEventMode)
-NO_MODE(EnterStepMode)
-NO_MODE(EnterContinuousTimeMode)
-NO_MODE(EvaluateDiscreteStates)
-ABSENT(UpdateDiscreteStates, 1, bool *needed, bool *terminates, bool *nominals_changed,
+ABSENT(EnterConfigurationMode, 1, ONE)
+ABSENT(ExitConfigurationMode, 1, ONE)
+ABSENT(EnterEventMode, 1, ONE)
+ABSENT(EnterStepMode, 1, ONE)
+ABSENT(EnterContinuousTimeMode, 1, ONE)
+ABSENT(EvaluateDiscreteStates, 1, ONE)
+ABSENT(UpdateDiscreteStates, 1, ONE, bool *needed, bool *terminates, bool *nominals_changed,
        bool *values_changed, bool *has_next, double *next)
-ABSENT(CompletedIntegratorStep, 1, bool never_back, bool *event_needed, bool *terminates)
-ABSENT(SetTime, 1, double time)
-ABSENT(SetContinuousStates, 1, const double values[], size_t count)
-ABSENT(GetContinuousStates, 1, double values[], size_t count)
-ABSENT(GetContinuousStateDerivatives, 1, double values[], size_t count)
-ABSENT(GetNominalsOfContinuousStates, 1, double values[], size_t count)
-ABSENT(GetEventIndicators, 1, double values[], size_t count)
-ABSENT(GetNumberOfContinuousStates, 1, size_t *count)
-ABSENT(GetNumberOfEventIndicators, 1, size_t *count)
-ABSENT(ActivateModelPartition, 1, uint32_t clock, double time)
+ABSENT(CompletedIntegratorStep, 1, ONE, bool never_back, bool *event_needed, bool *terminates)
+ABSENT(SetTime, 1, ONE, double time)
+ABSENT(SetContinuousStates, 1, ONE, const double values[], size_t count)
+ABSENT(GetContinuousStates, 1, ONE, double values[], size_t count)
+ABSENT(GetContinuousStateDerivatives, 1, ONE, double values[], size_t count)
+ABSENT(GetNominalsOfContinuousStates, 1, ONE, double values[], size_t count)
+ABSENT(GetEventIndicators, 1, ONE, double values[], size_t count)
+ABSENT(GetNumberOfContinuousStates, 1, ONE, size_t *count)
+ABSENT(GetNumberOfEventIndicators, 1, ONE, size_t *count)
+ABSENT(ActivateModelPartition, 1, ONE, uint32_t clock, double time)
