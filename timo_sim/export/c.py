@@ -12,15 +12,13 @@ from string import Template
 import subprocess
 
 from timo_sim.compiled.machine import TARGETS
-from timo_sim.export.constants import Interface, interface_of, Quantity, refuse
+from timo_sim.export.constants import Interface, Quantity, refuse
 from timo_sim.export.instance import Code
 from timo_sim.export.library import library, TEXTS
 from timo_sim.model.formulation import DRAWN
 from timo_sim.scene.files import check_target, whole_file
 from timo_sim.scene.parameters import checked, FLAG, ParameterError, PATH, short, TEXT
 from timo_sim.scene.scene import load_scene, SceneLike
-from timo_sim.simulation.finer import EstimatingSimulator
-from timo_sim.simulation.simulator import Simulator
 from timo_sim.version import __version__
 
 # The templates have `name` and `NAME` as words or first parts of words, see `_fill`.
@@ -252,19 +250,13 @@ def write_c(scene: SceneLike, folder: Path | str, target: str = 'host', estimate
     for file in (f'{name}.h', f'{name}.o', 'main.c', 'CMakeLists.txt'):
         check_target(folder / file)
     refuse(scene, estimate)
-    interface = interface_of(scene, estimate)
-    if estimate:
-        simulator = EstimatingSimulator(scene)
-        simulators = [simulator, simulator.finer]
-    else:
-        simulators = [Simulator(scene)]
+    made = library(scene, estimate, target, name, derivatives)
     folder.mkdir(parents=True, exist_ok=True)
-    made = library(simulators, interface, target, name, derivatives)
-    texts = {f'{name}.h': _header(interface, made, scene.step, target, name),
-             'main.c': _main(interface, scene.step, name), 'CMakeLists.txt': _fill(_CMAKE, name)}
-    contents = {f'{name}.o': made.content,
-                **{file: text.encode() for file, text in texts.items()}}
-    for file, content in contents.items():
+    for file, content in {
+            f'{name}.h': _header(made, scene.step, target, name).encode(),
+            f'{name}.o': made.content,
+            'main.c': _main(made.interface, scene.step, name).encode(),
+            'CMakeLists.txt': _fill(_CMAKE, name).encode()}.items():
         with whole_file(folder / file) as path:
             path.write_bytes(content)
     return folder
@@ -303,8 +295,8 @@ def _enum(name, quantities):
         for number, each in enumerate(quantities))
 
 
-def _header(interface, made, step, target, name):
-    inputs, outputs, parameters, _ = interface
+def _header(made, step, target, name):
+    inputs, outputs, parameters, _ = made.interface
     return _fill(
         _HEADER, name, version=__version__, target=target, step=repr(step), size=made.size,
         saved=made.saved, inputs=len(inputs), outputs=len(outputs), parameters=len(parameters),

@@ -12,7 +12,7 @@ from timo_sim.export.instance import Plant
 from timo_sim.model.layout import INPUTS
 from timo_sim.scene.parameters import ParameterError, PARAMETERS
 from timo_sim.scene.scene import Scene
-from timo_sim.simulation.finer import choose_parts
+from timo_sim.simulation.finer import choose_parts, EstimatingSimulator
 from timo_sim.simulation.loads import added_load, tip_of
 from timo_sim.simulation.simulator import MOST_BENT, Simulator
 
@@ -121,7 +121,15 @@ def _limits(inputs, values):
             for (name, of_rate), limited in columns.items()]
 
 
-def plant_of(simulator: Simulator) -> Plant:
+def simulators_of(scene: Scene, estimate: bool) -> list[Simulator]:
+    """Return a Simulator of a scene and, if its error is estimated, the finer one."""
+    if not estimate:
+        return [Simulator(scene)]
+    simulator = EstimatingSimulator(scene)
+    return [simulator, simulator.finer]
+
+
+def plant_of(simulator: Simulator, interface: Interface) -> Plant:
     """Return the constants of a model and its start."""
     scene, model = simulator.scene, simulator.model
     tips = [tip_of(scene), *(tip for _, *tip in scene.payloads)]
@@ -134,4 +142,7 @@ def plant_of(simulator: Simulator) -> Plant:
         start=model.state(scene.initial_motion(model)), first_load=simulator.load,
         first_friction=simulator.integration.memory.copy(),
         changes=np.array([step for step, *_ in scene.payloads], dtype=np.int64),
-        added=rested * np.reshape([added_load(*each) for each in pairwise(tips)], (-1, 3)))
+        added=rested * np.reshape([added_load(*each) for each in pairwise(tips)], (-1, 3)),
+        columns=np.array([each.column for each in interface.inputs], dtype=np.int64),
+        limits=np.array([[each.of_rate, each.begin, each.end] for each in interface.parameters],
+                        dtype=np.int64).reshape(-1, 3))

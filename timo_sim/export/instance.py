@@ -17,13 +17,13 @@ from timo_sim.compiled.entry import entry_point
 from timo_sim.compiled.functions import (
     Array, Constants, floor, inner, square_root, strict, WIDTH)
 from timo_sim.model.functions import (
-    accelerate, copy, effort, energy, linear_part_is_valid, motor_effort, place_point, root_forces,
-    root_strain, rotor_turn, sincos, spring_torque, state_of)
+    copy, energy, linear_part_is_valid, motor_effort, place_point, rotor_turn, sincos,
+    spring_torque, state_of)
 from timo_sim.model.layout import (
-    AFTER, FORCE_I, FORCE_II, FORCE_X, FORCE_Y, LOADS, MOTOR_FRICTION, START, STEP_LOADS)
-from timo_sim.steps.bristles import BRISTLES, COLUMNS, MEMORY
+    AFTER, FORCE_I, FORCE_II, FORCE_X, FORCE_Y, LOADS, START, STEP_LOADS)
+from timo_sim.steps.bristles import add_friction, MEMORY
 from timo_sim.steps.loads import add_commands, add_scene_loads, restart
-from timo_sim.steps.sensors import reading
+from timo_sim.steps.sensors import reading, sense_forces
 
 
 class Code(IntEnum):
@@ -42,8 +42,9 @@ class Code(IntEnum):
     TIP_CHANGES = 10
 
 
-_OK, _NOT_FINITE, _BAD_STATE, _DIVERGED, _NOT_POSITIVE = (int(code) for code in (
-    Code.OK, Code.NOT_FINITE, Code.BAD_STATE, Code.DIVERGED, Code.NOT_POSITIVE))
+_OK, _UNKNOWN, _NOT_FINITE, _BAD_STATE, _DIVERGED, _NOT_POSITIVE = (int(code) for code in (
+    Code.OK, Code.UNKNOWN_NUMBER, Code.NOT_FINITE, Code.BAD_STATE, Code.DIVERGED,
+    Code.NOT_POSITIVE))
 
 # Places in `Instance.mark`: what shows that the memory is an instance, steps done, number of the
 # linear part, which `Instance.outputs` are those of now (0: none, 1: those of the motion, 2: all),
@@ -94,6 +95,10 @@ class Plant(NamedTuple):
     first_friction: Annotated[np.ndarray, MEMORY]  # what the first step begins with
     changes: Annotated[np.ndarray, int, 'changes']  # steps before which the load at the tip does
     added: Annotated[np.ndarray, 'changes', 3]  # what each picks up at rest, see `impact`
+    columns: Annotated[np.ndarray, int, 'inputs']  # of a load, by the number of an input
+    # By the number of a parameter: whether it limits rates, the columns from the first one to
+    # before the last one.
+    limits: Annotated[np.ndarray, int, 'parameters', 3]
 
 
 @entry_point(plant=Constants(), actuators=Constants(), instance=Constants())
@@ -117,41 +122,50 @@ def _finite(value):
     return value - value == 0.0
 
 
-@entry_point(instance=Constants(), column=int, value=float)
-def set_input(instance, column, value):
-    """Set a command by its column of the load."""
+@entry_point(plant=Constants(), instance=Constants(), number=int, value=float)
+def set_input(plant, instance, number, value):
+    """Set a command."""
+    if not 0 <= number < len(plant.columns):
+        return _UNKNOWN
     if not _finite(value):
         return _NOT_FINITE
-    instance.inputs[column] = value
+    instance.inputs[plant.columns[number]] = value
     return _OK
 
 
-@entry_point(instance=Constants(), column=int, value=Array((1,)))
-def get_input(instance, column, value):
-    """Write a command by its column of the load."""
-    value[0] = instance.inputs[column]
+@entry_point(plant=Constants(), instance=Constants(), number=int, value=Array((1,)))
+def get_input(plant, instance, number, value):
+    """Write a command."""
+    if not 0 <= number < len(plant.columns):
+        return _UNKNOWN
+    value[0] = instance.inputs[plant.columns[number]]
     return _OK
 
 
-@entry_point(actuators=Constants(), instance=Constants(), of_rate=int, begin=int, end=int,
+@entry_point(plant=Constants(), actuators=Constants(), instance=Constants(), number=int,
              value=float)
-def set_parameter(actuators, instance, of_rate, begin, end, value):
-    """Set a limit of commands, or of their rates, for the columns from `begin` to before `end`."""
+def set_parameter(plant, actuators, instance, number, value):
+    """Set a limit of commands, or of their rates."""
+    if not 0 <= number < len(plant.limits):
+        return _UNKNOWN
     if not value > 0.0:
         return _NOT_POSITIVE
     restart(actuators, instance.mark[STEPS])
-    for column in range(begin, end):
-        if of_rate != 0:
+    for column in range(plant.limits[number, 1], plant.limits[number, 2]):
+        if plant.limits[number, 0] != 0:
             actuators.rate[column] = value
         else:
             actuators.limit[column] = value
     return _OK
 
 
-@entry_point(actuators=Constants(), of_rate=int, begin=int, value=Array((1,)))
-def get_parameter(actuators, of_rate, begin, value):
-    """Write a limit of a column's commands, or of their rates."""
-    value[0] = actuators.rate[begin] if of_rate != 0 else actuators.limit[begin]
+@entry_point(plant=Constants(), actuators=Constants(), number=int, value=Array((1,)))
+def get_parameter(plant, actuators, number, value):
+    """Write a limit of commands, or of their rates."""
+    if not 0 <= number < len(plant.limits):
+        return _UNKNOWN
+    column = plant.limits[number, 1]
+    value[0] = actuators.rate[column] if plant.limits[number, 0] != 0 else actuators.limit[column]
     return _OK
 
 
@@ -254,21 +268,16 @@ def get_shape(tables, outline, instance, values):
     return _OK
 
 
-@entry_point(instance=Constants(), other=Array((3,)))
-def compare(instance, other):
-    """Note the distance from the tip of the finer run."""
+@entry_point(instance=Constants(), lost=int, other=Array((3,)))
+def compare(instance, lost, other):
+    """Note the distance from the tip of the finer run, or that it diverged."""
     x, y = instance.place[0] - other[0], instance.place[1] - other[1]
     distance = square_root(x * x + y * y)
-    if not distance <= instance.error[0]:
+    if lost != 0:
+        instance.mark[LOST] = 1
+        instance.error[0] = np.nan
+    elif not distance <= instance.error[0]:
         instance.error[0] = distance
-    return _OK
-
-
-@entry_point(instance=Constants())
-def lose(instance):
-    """Note that the finer run diverged."""
-    instance.mark[LOST] = 1
-    instance.error[0] = np.nan
     return _OK
 
 
@@ -277,30 +286,16 @@ FORCES, MODAL = 15, 22
 SENSED = 17, 15, 16, 12, 13, 14  # numbers of the axes of SENSORS
 
 
-@entry_point(tables=Constants(), plant=Constants(), instance=Constants())
-def set_rates(tables, plant, instance):
-    """Write the accelerations, and the specific force at the tip to the outputs."""
-    state, load, motion = instance.state, instance.acting, instance.motion
-    copy(instance.load, load)
-    for i in range(BRISTLES):
-        load[COLUMNS[i]] += instance.friction[i]
-    load[MOTOR_FRICTION] = instance.friction[2]
-    x, y = accelerate(tables, plant, motion, state, load, instance.accelerations)
-    x, y = x - plant.gravity[0], y - plant.gravity[1]
-    sine, cosine = sincos(instance.place[2])
-    instance.outputs[15] = cosine * x + sine * y
-    instance.outputs[16] = cosine * y - sine * x
-    return _OK
-
-
 @entry_point(tables=Constants(), plant=Constants(), root=Constants(), instance=Constants())
 def set_forces(tables, plant, root, instance):
-    """Write strain, efforts and energy to the outputs."""
-    load, motion, accelerations = instance.load, instance.motion, instance.accelerations
-    out, half, needed = instance.outputs, len(motion) // 2, instance.loads[0, START]
-    for axis in range(2):
-        accelerations[axis] -= plant.gravity[axis]
-    effort(tables, motion, accelerations, load, needed)
+    """Write the specific force at the tip, strain, efforts and energy to the outputs."""
+    load, acting, motion, out = instance.load, instance.acting, instance.motion, instance.outputs
+    half, needed = len(motion) // 2, instance.loads[0, START]
+    copy(load, acting)
+    add_friction(instance.friction, acting)
+    out[17], out[15], out[16] = sense_forces(
+        tables, plant, root, plant.gravity, motion, instance.place[2], instance.state, acting,
+        instance.accelerations, needed)
     sine, cosine = sincos(motion[2])
     out[18] = load[FORCE_X] + cosine * load[FORCE_I] - sine * load[FORCE_II]
     out[19] = load[FORCE_Y] + sine * load[FORCE_I] + cosine * load[FORCE_II]
@@ -310,8 +305,6 @@ def set_forces(tables, plant, root, instance):
             out[18 + joint] = needed[joint] - out[18 + joint]
     if root.constrained[2] != 0:
         out[20] -= spring_torque(tables, motion[2])
-    force, moment = root_forces(tables, root, motion, accelerations, needed, instance.acting)
-    out[17] = root_strain(root, motion, force, moment)
     out[21] = energy(tables, motion, plant.gravity)
     instance.mark[KNOWN] = 2
     return _OK
@@ -337,32 +330,37 @@ def set_outputs(plant, root, instance):
     out[12] = turning
     out[13] = motion[2]
     out[14] = rotor_turn(root, motion, 0)
-    out[MODAL + 2 * modes] = instance.error[0]
+    if MODAL + 2 * modes < len(out):
+        out[MODAL + 2 * modes] = instance.error[0]
     instance.mark[KNOWN] = 1
     return _OK
 
 
-@entry_point(errors=Constants(), instance=Constants(), axis=int, number=int)
-def measure(errors, instance, axis, number):
-    """Turn an output into the reading of an axis that arrives now; until one does, the first."""
-    now, late = instance.mark[STEPS], instance.late
-    late[now % len(late), axis] = reading(errors, axis, now, instance.outputs[number])
-    seen = max(now - errors.delay[axis], 0)
-    instance.outputs[number] = late[seen % len(late), axis]
+@entry_point(errors=Constants(), instance=Constants(), begin=int, end=int)
+def measure(errors, instance, begin, end):
+    """Turn some outputs into readings that arrive now; until one does, the first."""
+    now, late, out = instance.mark[STEPS], instance.late, instance.outputs
+    for axis in range(len(SENSED)):
+        if begin <= SENSED[axis] < end:
+            late[now % len(late), axis] = reading(errors, axis, now, out[SENSED[axis]])
+            seen = max(now - errors.delay[axis], 0)
+            out[SENSED[axis]] = late[seen % len(late), axis]
     return _OK
 
 
 @entry_point(instance=Constants(), number=int, value=Array((1,)))
 def get_output(instance, number, value):
     """Write an output."""
+    if not 0 <= number < len(instance.outputs):
+        return _UNKNOWN
     value[0] = instance.outputs[number]
     return _OK
 
 
-@entry_point(instance=Constants(), count=int, values=Array((None,)))
-def get_outputs(instance, count, values):
-    """Write the first outputs."""
-    for k in range(count):
+@entry_point(instance=Constants(), values=Array((None,)))
+def get_outputs(instance, values):
+    """Write all outputs."""
+    for k in range(len(instance.outputs)):
         values[k] = instance.outputs[k]
     return _OK
 

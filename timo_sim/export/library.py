@@ -18,11 +18,13 @@ from timo_sim.compiled import machine
 from timo_sim.compiled.constants import pack, Packed
 from timo_sim.compiled.functions import Constants, WIDTH
 from timo_sim.export import instance as steps
-from timo_sim.export.constants import Interface, plant_of
-from timo_sim.export.instance import Code, Instance, KNOWN, LOST, MAGIC, PART, SAVED, TIP
+from timo_sim.export.constants import Interface, interface_of, plant_of, simulators_of
+from timo_sim.export.instance import (
+    Code, FORCES, Instance, KNOWN, LOST, MAGIC, MODAL, PART, SAVED, TIP)
 from timo_sim.model.functions import tips
 from timo_sim.model.layout import LOADS, STEP_LOADS
 from timo_sim.model.statics import impact
+from timo_sim.scene.scene import Scene
 from timo_sim.simulation.loads import Actuators, tip_of, unit_loads_of
 from timo_sim.steps.bristles import MEMORY
 from timo_sim.steps.derivatives import entry_for
@@ -61,7 +63,7 @@ class _Model:
         self.parts = [*zip(*(each.part(sector) for each in tips for sector in self.sectors))]
         self.tables = tuple(each.model.packed for each in tips)
         self.bristles = tuple(each.bristles for each in tips)
-        plant = plant_of(simulator)
+        plant = plant_of(simulator, interface)
         self.plant = tuple(pack(plant._replace(linear=each.model.linear)) for each in tips)
         self.loads, self.actuators = (
             pack(scene.load.rows(scene.step)), Actuators(scene.values).packed)
@@ -73,12 +75,11 @@ class _Model:
         # What steps are differentiated by.
         self.differentiate, self.places = entry_for(model), model.free_places
         self.units = unit_loads_of(scene.values, [each.column for each in interface.inputs])
-        outputs = steps.MODAL + 2 * len(model.modes) + 1
         self.instance = pack(Instance._make([
             np.zeros(1 + TIP), *3 * [np.zeros(LOADS)], *2 * [np.zeros(MEMORY)], *2 * [np.zeros(1)],
             *2 * [np.zeros(len(model.linear))], np.zeros((1, STEP_LOADS, LOADS)),
             np.zeros(WIDTH), *2 * [np.zeros(model.size)], *2 * [np.zeros(3)],
-            np.zeros(outputs),
+            np.zeros(len(interface.outputs)),
             np.zeros((self.senses * (1 + self.delay), len(self.errors.delay)))]))
 
     @property
@@ -296,16 +297,16 @@ class _Body:
         own, finer = self.models
         instance, = self.function('follow', _WORD, _POINTER)
         builder, other = self.builder, self.at(instance, self.offsets[1])
+        place = self.field(finer, other, 'place')
         self.return_if(builder.not_(self.equal(self.read_mark(instance, LOST), 0)), self.word(0))
         for _ in range(self.interface.parts):
             code = builder.call(self.module.globals['step.1'],
                                 [other, self.field(own, instance, 'inputs')])
             with builder.if_then(builder.not_(self.equal(code, 0))):
-                self.call(own, instance, steps.lose)
-                builder.ret(self.word(0))
+                builder.ret(self.call(own, instance, steps.compare, self.word(1), place))
         builder.call(self.module.globals['observe.0'], [instance])
         builder.call(self.module.globals['observe.1'], [other])
-        builder.ret(self.call(own, instance, steps.compare, self.field(finer, other, 'place')))
+        builder.ret(self.call(own, instance, steps.compare, self.word(0), place))
 
     def define_refresh(self):
         """Define the function that computes outputs up to a stage of KNOWN, if they are not."""
@@ -316,19 +317,16 @@ class _Body:
         with builder.if_then(self.equal(known, 0)):
             builder.call(self.module.globals['observe.0'], [instance])
             self.call(own, instance, steps.set_outputs)
-            self.emit_measurements(instance, range(steps.FORCES))
+            self.emit_measurements(instance, 0, FORCES)
         with builder.if_then(self.equal(stage, 2)):
-            self.call(own, instance, steps.set_rates)
             self.call(own, instance, steps.set_forces)
-            self.emit_measurements(instance, range(steps.FORCES, steps.MODAL))
+            self.emit_measurements(instance, FORCES, MODAL)
         builder.ret(self.word(0))
 
-    def emit_measurements(self, instance, numbers):
+    def emit_measurements(self, instance, begin, end):
         """Make readings of those outputs among some numbers that sensors measure."""
-        for axis, number in enumerate(steps.SENSED):
-            if self.models[0].senses and number in numbers:
-                self.call(self.models[0], instance, steps.measure, self.word(axis),
-                          self.word(number))
+        if self.models[0].senses:
+            self.call(self.models[0], instance, steps.measure, self.word(begin), self.word(end))
 
     def emit_measurement_for_later(self, instance):
         if self.models[0].senses and self.models[0].delay:
@@ -358,13 +356,36 @@ class _Body:
                      Code.NOT_CREATED)
         return instance, *arguments
 
-    def emit_return(self, code=None):
-        self.builder.ret(ir.Constant(_INT, 0) if code is None else
-                         self.builder.trunc(code, _INT))
+    def emit_return(self):
+        self.builder.ret(ir.Constant(_INT, 0))
 
-    def fail_unless_below(self, number, count):
-        bad = self.builder.icmp_unsigned('>=', number, ir.Constant(_INT, count))
-        self.fail_if(bad, Code.UNKNOWN_NUMBER)
+    def return_if_wrong(self, code):
+        self.return_if(self.builder.not_(self.equal(code, 0)), self.builder.trunc(code, _INT))
+
+    def define(self, entries, *kinds, stage=None, models=1):
+        """
+        Define the function of the interface that calls entry points, the last of which names it.
+
+        Before, outputs are computed up to a stage. Each of some models takes its part of an array.
+        """
+        instance, *given = self.public(entries[-1].__name__, *kinds)
+        given = [self.builder.sext(each, _WORD) if each.type == _INT else each for each in given]
+        if stage:
+            self.builder.call(self.module.globals['refresh'], [
+                instance, stage(given[0]) if callable(stage) else self.word(stage)])
+        for entry in entries:
+            begin = 0
+            for model, each in [*self.each(instance)][:models]:
+                self.return_if_wrong(self.call(model, each, entry, *(
+                    self.at(one, begin) if one.type == _POINTER else one for one in given)))
+                begin += 8 * model.saved
+        self.emit_return()
+
+    def stage_of(self, number):
+        """Return the stage of KNOWN at which an output is known."""
+        needs_forces = self.builder.icmp_unsigned(
+            '<', self.builder.sub(number, self.word(FORCES)), self.word(MODAL - FORCES))
+        return self.builder.select(needs_forces, self.word(2), self.word(1))
 
     def each(self, instance):
         """Yield the models with their instances."""
@@ -402,36 +423,6 @@ class _Body:
         instance, = self.public('reset')
         self.reset_all(instance)
 
-    def define_inputs(self):
-        own, columns = self.models[0], [each.column for each in self.interface.inputs]
-        for entry, kind in ((steps.set_input, _REAL), (steps.get_input, _POINTER)):
-            instance, number, value = self.public(entry.__name__, _INT, kind)
-            self.fail_unless_below(number, len(columns))
-            self.emit_return(self.call(own, instance, entry,
-                                       self.element('columns', _WORD, columns, number), value))
-
-    def define_parameters(self):
-        limits = self.interface.parameters
-        instance, number, value = self.public('set_parameter', _INT, _REAL)
-        self.fail_unless_below(number, len(limits))
-        of_rate, begin, end = self.columns_of_limit(number)
-        for model, each in self.each(instance):
-            code = self.call(model, each, steps.set_parameter, of_rate, begin, end, value)
-            with self.builder.if_then(self.builder.not_(self.equal(code, 0))):
-                self.emit_return(code)
-        self.emit_return()
-        instance, number, value = self.public('get_parameter', _INT, _POINTER)
-        self.fail_unless_below(number, len(limits))
-        of_rate, begin, _ = self.columns_of_limit(number)
-        self.emit_return(self.call(self.models[0], instance, steps.get_parameter, of_rate, begin,
-                                   value))
-
-    def columns_of_limit(self, number):
-        """Return whether a parameter limits rates, its first column and the one after its last."""
-        return [self.element(f'limits.{name}', _WORD, [
-            int(getattr(each, name)) for each in self.interface.parameters], number)
-            for name in ('of_rate', 'begin', 'end')]
-
     def define_step(self):
         own = self.models[0]
         instance, count = self.public('step', _WORD)
@@ -447,8 +438,7 @@ class _Body:
         builder.position_at_end(body)
         code = builder.call(self.module.globals['step.0'],
                             [instance, self.field(own, instance, 'inputs')])
-        with builder.if_then(builder.not_(self.equal(code, 0))):
-            self.emit_return(code)
+        self.return_if_wrong(code)
         if len(self.models) > 1:
             builder.call(self.module.globals['follow'], [instance])
         self.emit_measurement_for_later(instance)
@@ -481,44 +471,18 @@ class _Body:
                   **self.emit_choice_of_part(own, instance))
         self.emit_return()
 
-    def define_outputs(self):
-        own, count = self.models[0], len(self.interface.outputs)
-        instance, number, value = self.public('get_output', _INT, _POINTER)
-        self.fail_unless_below(number, count)
-        needs_forces = self.builder.icmp_unsigned(
-            '<', self.builder.sub(number, ir.Constant(_INT, steps.FORCES)),
-            ir.Constant(_INT, steps.MODAL - steps.FORCES))
-        self.builder.call(self.module.globals['refresh'], [
-            instance, self.builder.select(needs_forces, self.word(2), self.word(1))])
-        self.emit_return(self.call(own, instance, steps.get_output,
-                                   self.builder.zext(number, _WORD), value))
-        instance, values = self.public('get_outputs', _POINTER)
-        self.builder.call(self.module.globals['refresh'], [instance, self.word(2)])
-        self.emit_return(self.call(own, instance, steps.get_outputs, self.word(count), values))
-        instance, values = self.public('get_shape', _POINTER)
-        self.builder.call(self.module.globals['refresh'], [instance, self.word(1)])
-        self.emit_return(self.call(own, instance, steps.get_shape, values))
-
-    def define_states(self):
-        instance, values = self.public('get_state', _POINTER)
-        for model, each, place in self.each_state(instance, values):
-            self.call(model, each, steps.get_state, place)
-        self.emit_return()
-        instance, values = self.public('set_state', _POINTER)
-        for model, each, place in self.each_state(instance, values):
-            code = self.call(model, each, steps.check_state, place)
-            with self.builder.if_then(self.builder.not_(self.equal(code, 0))):
-                self.emit_return(code)
-        for model, each, place in self.each_state(instance, values):
-            self.call(model, each, steps.set_state, place)
-        self.emit_return()
-
-    def each_state(self, instance, values):
-        """Yield the models with their instances and their parts of a saved state."""
-        offset = 0
-        for model, each in self.each(instance):
-            yield model, each, self.at(values, offset)
-            offset += 8 * model.saved
+    def define_calls(self):
+        """Define the functions that are no more than calls."""
+        both = len(self.models)
+        self.define([steps.set_input], _INT, _REAL)
+        self.define([steps.get_input], _INT, _POINTER)
+        self.define([steps.set_parameter], _INT, _REAL, models=both)
+        self.define([steps.get_parameter], _INT, _POINTER)
+        self.define([steps.get_output], _INT, _POINTER, stage=self.stage_of)
+        self.define([steps.get_outputs], _POINTER, stage=2)
+        self.define([steps.get_shape], _POINTER, stage=1)
+        self.define([steps.get_state], _POINTER, models=both)
+        self.define([steps.check_state, steps.set_state], _POINTER, models=both)
 
     def define_texts(self):
         for name, texts in (
@@ -543,9 +507,8 @@ class _Body:
         if len(self.models) > 1:
             self.define_follow()
         self.define_refresh()
-        for define in (self.define_memory, self.define_inputs, self.define_parameters,
-                       self.define_step, *derivatives * [self.define_derivatives],
-                       self.define_outputs, self.define_states, self.define_texts):
+        for define in (self.define_memory, self.define_calls, self.define_step,
+                       *derivatives * [self.define_derivatives], self.define_texts):
             define()
         return self.module
 
@@ -554,13 +517,14 @@ class Library(NamedTuple):
     """An object file, and what its header says."""
 
     content: bytes
+    interface: Interface
     size: int   # of the memory of an instance [B]
     saved: int  # count of numbers of a saved state
     motion: int  # count of numbers of a motion
     models: list[_Model]
     constants: dict[str, tuple[Packed, ...]]  # by symbol, which only WebAssembly has
 
-    def constants_of(self, simulators: list[Any], interface: Interface) -> bytes:
+    def constants_of(self, simulators: list[Any]) -> bytes:
         """
         Return the constants of other simulators of the same sizes, those of all symbols.
 
@@ -568,7 +532,7 @@ class Library(NamedTuple):
         """
         found = {}
         for model, simulator in zip(self.models, simulators, strict=True):
-            other = _Model(simulator, model.number, '', interface)
+            other = _Model(simulator, model.number, '', self.interface)
             for own, each in zip(model.blocks, other.blocks, strict=True):
                 if own.key != each.key:
                     raise ValueError(f'sizes of {own.kind.__name__} are others')
@@ -577,17 +541,17 @@ class Library(NamedTuple):
                         for group in self.constants.values() for own in group)
 
 
-def library(simulators: list[Any], interface: Interface, target: str, name: str,
+def library(scene: Scene, estimate: bool, target: str, name: str,
             derivatives: bool = True) -> Library:
     """
-    Return the object file of a model or, with its finer one, of two.
+    Return the object file of a scene and, to estimate its error, its finer run.
 
-    `simulators` are at their start; `derivatives` says whether those of a step are there. For
-    `target` see `compiled.machine.target_machine`; names of functions begin with `name`.
+    `derivatives` says whether those of a step are there. For `target` see
+    `compiled.machine.target_machine`; names of functions begin with `name`.
     """
-    target_machine = machine.target_machine(target)
+    target_machine, interface = machine.target_machine(target), interface_of(scene, estimate)
     models = [_Model(each, number, target, interface)
-              for number, each in enumerate(simulators)]
+              for number, each in enumerate(simulators_of(scene, estimate))]
     body = _Body(models, interface, name, target.startswith('wasm32'))
     module = llvm.parse_assembly(str(body.write(derivatives)))
     module.triple = str(target_machine.triple)
@@ -597,6 +561,7 @@ def library(simulators: list[Any], interface: Interface, target: str, name: str,
     for function in module.functions:
         if not function.is_declaration and not function.name.startswith(f'{name}_'):
             function.linkage = 'internal'
-    return Library(content=target_machine.emit_object(module), size=body.size,
-                   saved=sum(model.saved for model in models), motion=simulators[0].model.size,
-                   models=models, constants=body.symbols)
+    return Library(content=target_machine.emit_object(module), interface=interface,
+                   size=body.size, saved=sum(model.saved for model in models),
+                   motion=models[0].instance.sizes['motion'], models=models,
+                   constants=body.symbols)

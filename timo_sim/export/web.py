@@ -27,7 +27,7 @@ import zlib
 import numpy as np
 
 from timo_sim.control.shaping import shaper
-from timo_sim.export.constants import interface_of, refuse
+from timo_sim.export.constants import interface_of, refuse, simulators_of
 from timo_sim.export.library import library
 from timo_sim.runs.linear import linearize
 from timo_sim.runs.modes import modes
@@ -35,8 +35,6 @@ from timo_sim.scene.files import check_target, whole_file
 from timo_sim.scene.parameters import (
     checked, fixed_axes, FLAG, FUNCTION, ParameterError, PATH)
 from timo_sim.scene.scene import load_scene, Scene, scene_from, SceneLike
-from timo_sim.simulation.finer import EstimatingSimulator
-from timo_sim.simulation.simulator import Simulator
 from timo_sim.simulation.warnings import inaccurate, MOST_APART
 from timo_sim.version import __version__
 from timo_sim.view.track import body_of
@@ -113,9 +111,8 @@ def link_wasm(content: bytes) -> bytes:
 
 def _scene(name: str, scene: Scene, estimate: bool) -> dict[str, Any]:
     """Return what the page knows of a scene."""
-    interface = interface_of(scene, estimate)
-    made = library(_parts(_simulator(scene, estimate)), interface, TARGET, 'arm', False)
-    tables, sliders, loops = _stations(scene, interface, made)
+    made = library(scene, estimate, TARGET, 'arm', False)
+    interface, (tables, sliders, loops) = made.interface, _stations(scene, estimate, made)
     values, body, (along, _, meant) = scene.values, body_of(scene), (
         inaccurate(scene, 1.0, 0.0) or '').partition('1 m')
     return {
@@ -136,20 +133,11 @@ def _scene(name: str, scene: Scene, estimate: bool) -> dict[str, Any]:
         'about': repr(scene).partition(': ')[2][:-1]}
 
 
-def _simulator(scene: Scene, estimate: bool) -> Simulator:
-    return (EstimatingSimulator if estimate else Simulator)(scene)
-
-
-def _parts(simulator: Simulator) -> list[Simulator]:
-    """Return a simulator and the finer one that it may have."""
-    return [simulator, *filter(None, [getattr(simulator, 'finer', None)])]
-
-
 def _deflated(content: bytes) -> str:
     return base64.b64encode(zlib.compress(content, 9)).decode()
 
 
-def _stations(scene, interface, made):
+def _stations(scene, estimate, made):
     """
     Return what the page needs of arms that differ.
 
@@ -157,9 +145,7 @@ def _stations(scene, interface, made):
     the sliders that choose them, each with its values and the number of each arm, 0 is the
     scene's own; and the closed loops of all arms by number.
     """
-    estimate = interface.parts > 0
-    own = np.frombuffer(made.constants_of(_parts(_simulator(scene, estimate)), interface),
-                        np.uint8)
+    own = np.frombuffer(made.constants_of(simulators_of(scene, estimate)), np.uint8)
     tables, sliders, loops = [], [], [_loop(scene)]
     for label, unit, shown, changes in _variations(scene):
         chosen = []
@@ -169,14 +155,14 @@ def _stations(scene, interface, made):
                 continue
             try:
                 other = scene_from(scene.vary(change).values, scene.static)
-                if interface_of(other, estimate).parts != interface.parts:
+                if interface_of(other, estimate).parts != made.interface.parts:
                     continue
                 # Modes of another stiffness have the same shapes; with another mass the first ones
                 # stay.
-                simulator = _simulator(other if label == 'stiffness' else scene, estimate)
+                simulators = simulators_of(other if label == 'stiffness' else scene, estimate)
                 if label != 'stiffness':
-                    simulator.change(other)
-                constants = made.constants_of(_parts(simulator), interface)
+                    simulators[0].change(other)
+                constants = made.constants_of(simulators)
             except (ParameterError, ValueError):  # not of this arm, or of other sizes
                 continue
             tables.append(np.frombuffer(constants, np.uint8) ^ own)
