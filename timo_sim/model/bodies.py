@@ -124,12 +124,8 @@ class Section:
     @property
     def ratios(self) -> tuple[float, float]:
         """Rotary inertia over mass [m2]; bending over shear stiffness, over the former."""
-        if (self.measured_mass_per_length or self.measured_rotary_inertia
-                or self.measured_bending_stiffness or self.measured_shear_stiffness):
-            square = self.inertia_per_length / self.mass_per_length
-            return square, self.bending_stiffness / (self.shear_stiffness * square)
-        return (self.second_moment / self.area,
-                self.young_modulus / (self.shear_coefficient * self.shear_modulus))
+        square = self.inertia_per_length / self.mass_per_length
+        return square, self.bending_stiffness / (self.shear_stiffness * square)
 
     @property
     def cutoff(self) -> float:

@@ -174,27 +174,23 @@ class Exact(Formulation):
 
     def centre_line(self, q: np.ndarray, points: Points) -> np.ndarray:
         """Return the integral of the slopes from the shaft's axis."""
-        a, b = self._slopes(self._relative(q))[2:]
+        a, b = self._slopes(q)[2:]
         return np.stack([a @ points.integral, b @ points.integral], axis=-1)
 
     def centre_line_rate(self, q: np.ndarray, qdot: np.ndarray, points: Points) -> np.ndarray:
         """Return the integral of the slopes' rates."""
-        cosine, sine, a, b = self._slopes(self._relative(q))
-        turning, shearing, stretching = (self._relative(qdot) @ field for field in (
+        cosine, sine, a, b = self._slopes(q)
+        turning, shearing, stretching = (qdot @ field[1:] for field in (
             self.tables.rotation, self.tables.shear, self._stretch))
         return np.stack([
             (-b * turning - sine * shearing + cosine * stretching) @ points.integral,
             (a * turning + cosine * shearing + sine * stretching) @ points.integral], axis=-1)
 
-    @staticmethod
-    def _relative(q):
-        # Coordinates relative to the shaft, with q_0 = 0.
-        return np.concatenate([np.zeros((*q.shape[:-1], 1)), q], axis=-1)
-
-    def _slopes(self, coordinates):
-        # Cosine and sine of phi, and a, b, at the nodes, shape (..., n_g) each.
-        phi, gamma = coordinates @ self.tables.rotation, coordinates @ self.tables.shear
-        cosine, sine, stretch = np.cos(phi), np.sin(phi), coordinates @ self._stretch
+    def _slopes(self, q):
+        # Cosine and sine of phi, and a, b, from the shaft at the nodes, shape (..., n_g) each.
+        phi, gamma, stretch = (q @ field[1:] for field in (
+            self.tables.rotation, self.tables.shear, self._stretch))
+        cosine, sine = np.cos(phi), np.sin(phi)
         return (cosine, sine, cosine - gamma * sine + stretch * cosine,
                 sine + gamma * cosine + stretch * sine)
 

@@ -446,7 +446,8 @@ def _rate(tables, state, load, out):
     for n in range(len(tables.gear)):
         if place < count - len(tables.linear_rate):
             out[momenta + place] += (tables.gear[n, PER_COORDINATE] * (on_rotor + drag)
-                                     + _missing_contact(tables, n, work, place))
+                                     + functions.missing_contact(
+                                         tables, n, place, work.coordinate, work.speed))
     _add_rates_of_rates(tables, load, torque, on_rotor, forces, work, out)
     _subtract_part_of_band(tables, state, out)
 
@@ -473,12 +474,6 @@ def _linear_drag(tables, speed, nonlinear_rate, coordinates):
             speed[0] - nonlinear_rate[coordinates] + tables.gear[n, PER_COORDINATE] * (
                 speed[place] - nonlinear_rate[coordinates + place]))
     return drag
-
-
-@inner
-def _missing_contact(tables, n, work, place):
-    return functions.missing_contact(tables, n, tables.stiffness[place], tables.damping[place],
-                                     work.coordinate[place], work.speed[place])
 
 
 @functions.observe.of(Tables)
@@ -851,7 +846,7 @@ def _add_rates_of_rates(tables, load, torque, on_rotor, forces, work, out):
     for n in range(len(tables.gear)):
         place = _gear_place(tables)
         force[place] += (tables.gear[n, PER_COORDINATE] * on_rotor
-                         + _missing_contact(tables, n, work, place))
+                         + functions.missing_contact(tables, n, place, coordinate, speed))
     _solve(tables, factors, rates_from, force)
     for i in range(rates_from, count):
         total = force[i]

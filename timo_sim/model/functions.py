@@ -101,9 +101,14 @@ PER_COORDINATE, DRAG, PLAY = range(3)  # columns of `Tables.gear`, of an elastic
 
 
 @inner
-def missing_contact(tables, n, stiffness, damping, twist, rate):
-    """Return the force of spring and damper of the n-th gear that backlash takes away (T62)."""
-    play, missing = tables.gear[n, PLAY], 0.0
+def missing_contact(tables, n, place, q, qdot):
+    """
+    Return the force of spring and damper of the n-th gear that backlash takes away (T62).
+
+    Its coordinate has this place among those of a formulation, as have stiffness and damping.
+    """
+    play, missing, twist, rate = tables.gear[n, PLAY], 0.0, q[place], qdot[place]
+    stiffness, damping = tables.stiffness[place], tables.damping[place]
     if some(play != 0.0):
         missing = stiffness * twist + damping * rate - gear_torque(
             stiffness, damping, play, twist, rate)

@@ -312,15 +312,6 @@ def _push(tables, q, load, cosine, sine):
 
 
 @inner
-def _push_on_mode(tables, n, push_2):
-    """Return what a force across the arm does on a mode."""
-    on_mode = -0.0
-    if len(tables.push_deflection):
-        on_mode = tables.push_deflection[0, n] * push_2
-    return on_mode
-
-
-@inner
 def _dot(left, right):
     total = 0.0
     for j in range(len(left)):
@@ -351,8 +342,9 @@ def _set_z_0(tables, q, qdot, theta_rate, load, tip_2, push_2, moment, force, z)
     for i in range(driven, rows):
         if i:
             force[i] = (tables.tip_deflection[i - 1] * tip_2
-                        + tables.tip_rotation[i - 1] * load[TIP_TORQUE]
-                        + _push_on_mode(tables, i - 1, push_2))
+                        + tables.tip_rotation[i - 1] * load[TIP_TORQUE])
+            for k in range(len(tables.push_deflection)):
+                force[i] += tables.push_deflection[k, i - 1] * push_2
         else:
             force[i] = on_rotor - _resistance(tables, 1, theta_rate) + moment
             for _ in range(len(tables.gear)):
@@ -365,8 +357,7 @@ def _set_z_0(tables, q, qdot, theta_rate, load, tip_2, push_2, moment, force, z)
             force[i] -= tables.coupling[i] * load[ACCELERATION]
     for n in range(len(tables.gear)):  # (T61), (T62)
         force[count] += tables.gear[n, PER_COORDINATE] * on_rotor + functions.missing_contact(
-            tables, n, tables.stiffness[count - 1], tables.damping[count - 1], q[count - 1],
-            qdot[count - 1])
+            tables, n, count - 1, q, qdot)
     z[0] = load[ACCELERATION]
     for i in range(driven, rows):
         total = 0.0
