@@ -289,43 +289,47 @@ class _Reader:
     def records(self) -> Iterator[Schema | Channel | Metadata | Messages]:
         """Yield each Schema and Channel once, Metadata but rosbag2's, and Messages."""
         try:
-            for data in self._blocks():
-                yield from self._inside(data)
+            for data, index in self._blocks():
+                yield from self._inside(data, index)
             _read_summary(self._stream)
         except _UNREADABLE as error:
             self.damage = f'{_reason(error)} (byte {self.place})'
 
     def _blocks(self):
-        """Yield chunks, decompressed, and records outside of chunks, messages together."""
+        """Yield chunks, with the index behind them, and what is outside, messages together."""
         size, crc = os.fstat(self._stream.fileno()).st_size, zlib.crc32(MCAP0_MAGIC)
-        loose, opcode = b'', None
+        block, index, opcode = b'', b'', None
         while opcode != Opcode.DATA_END:
             head, left = self._stream.read(HEAD.size), size - self.place
             opcode, length = HEAD.unpack(head) if len(head) == HEAD.size else (0, 0)
             if HEAD.size + length > left or length > _LARGEST_RECORD:
                 opcode = 0
-            if loose and (opcode != MESSAGE_OPCODE or len(loose) > _AT_ONCE):
-                yield loose
-                loose = b''
+            if opcode != Opcode.MESSAGE_INDEX and block and (
+                    opcode != MESSAGE_OPCODE or len(block) > _AT_ONCE):
+                yield block, index
+                block = index = b''
             if not opcode:
                 raise ValueError('it ends in the middle of a record, or its length is wrong'
                                  if any(head) else 'it ends early')
             content = self._stream.read(length)
             if opcode == Opcode.CHUNK:
-                yield _decompress(_parse(ChunkRecord, content))
+                block = _decompress(_parse(ChunkRecord, content))
             elif opcode == Opcode.DATA_END:
                 if content not in (bytes(4), crc.to_bytes(4, 'little')):
                     raise ValueError('the checksum of all data is wrong')
             elif opcode == Opcode.FOOTER:
                 raise ValueError('the record that ends its data is missing')
-            elif opcode != Opcode.MESSAGE_INDEX:
-                loose += head + content
+            elif opcode == Opcode.MESSAGE_INDEX:
+                index += content[6:]  # behind channel and size: a time and a place of each message
+            else:
+                block += head + content
             crc = zlib.crc32(content, zlib.crc32(head, crc))
             self.place += HEAD.size + length
 
-    def _inside(self, data):
+    def _inside(self, data, index):
         """Yield the records in a block; raise an error behind those before a malformed one."""
-        place, places, wrong = 0, [], None
+        places, wrong = _indexed(data, index), None
+        place = len(data) if places else 0
         try:
             while place < len(data):
                 opcode, length = HEAD.unpack_from(data, place)
@@ -341,8 +345,7 @@ class _Reader:
         except _UNREADABLE as error:
             wrong = error
         starts = np.array(places, dtype=np.int64)
-        heads = np.ndarray(max(0, len(data) - _MESSAGE.itemsize + 1), _MESSAGE, data,
-                           strides=1)[starts]
+        heads = _heads(data, starts)
         known = np.isin(heads['channel'], [*self._channels])
         if known.any():
             yield Messages(self._resets, data, heads, starts + HEAD.size
@@ -373,6 +376,24 @@ class _Reader:
                 yield record
         elif opcode == Opcode.HEADER:
             self.profile = _parse(Header, content).profile
+
+
+def _heads(data, places):
+    return np.ndarray(max(0, len(data) - _MESSAGE.itemsize + 1), _MESSAGE, data,
+                      strides=1)[places]
+
+
+def _indexed(data, index):
+    """Return the places of messages by their index; [] if it does not fit, or others are there."""
+    places = np.sort(np.frombuffer(index[:len(index) // 16 * 16], '<i8')[1::2])
+    if len(places) and 0 <= places[0] and places[-1] <= len(data) - _MESSAGE.itemsize:
+        heads = _heads(data, places)
+        ends = places + HEAD.size + heads['length'].astype(np.int64)
+        if np.array_equal(np.insert(ends, 0, 0), np.append(places, len(data))) and (
+                heads['opcode'] == MESSAGE_OPCODE).all() and (
+                heads['length'] >= MESSAGE.size).all():
+            return places.tolist()
+    return []
 
 
 def _parse(kind, content):
