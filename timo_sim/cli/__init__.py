@@ -710,16 +710,15 @@ def view(files: tuple[str, ...], save: str | None, png: str | None, gif: str | N
         from timo_sim.scene.parameters import ParameterError
         raise ParameterError('--at is the time of a picture: it needs --png or --save')
     _require(rerun=in_rerun, matplotlib=gif)
-    from timo_sim.log.tables import Recording
     from timo_sim.log.write import numbered
-    from timo_sim.runs.replay import run_of
+    from timo_sim.runs.replay import open_log
     from timo_sim.view.track import Track
 
     tracks: dict[str, Any] = {}
     for file in files:
-        recording = Recording(file, node)
-        name = next(path.stem for path in numbered(recording.path) if path.stem not in tracks)
-        tracks[name] = Track(run_of(recording), name, deflection_scale)
+        run = open_log(file, node)
+        name = next(path.stem for path in numbered(run.recording.path) if path.stem not in tracks)
+        tracks[name] = Track(run, name, deflection_scale)
     if gif:
         from timo_sim.view.plot import animate
         animate([*tracks.values()], gif, fps)

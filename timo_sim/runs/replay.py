@@ -60,11 +60,7 @@ def open_log(path: str | Path, node: str | None = None) -> Run:
     (1001,)
 
     """
-    return run_of(Recording(path, node))
-
-
-def run_of(recording: Recording) -> Run:
-    """Return the run of a log that is open; raises as `open_log`."""
+    recording = Recording(path, node)
     _, ns, motion = recording.motion()
     scene = recording.scene
     heat = np.full(len(ns), np.nan) if scene.has_dry_friction else np.zeros(len(ns))

@@ -18,7 +18,7 @@ from PIL import Image
 from timo_sim.model.layout import rotate, without_unit
 from timo_sim.scene.files import whole_file
 from timo_sim.scene.parameters import ParameterError
-from timo_sim.view.track import body_of, DEFLECTION_SCALE, Floor, floor_of, FPS, Track
+from timo_sim.view.track import Floor, FPS, Track
 
 # Okabe and Ito's colours, which colour-blind readers tell apart.
 COLOURS = '#0072b2', '#d55e00', '#009e73', '#cc79a7', '#e69f00', '#56b4e9'
@@ -34,10 +34,10 @@ def plot(run: Any, deflection_scale: float = 1.0) -> Figure:
     The plane shows the arm where it is bent most in each fifth of the run, with `deflection_scale`
     times its deflection; one that is not above 0 and at most 1e9 is a ParameterError.
     """
-    scale, panels, bend = DEFLECTION_SCALE.check(deflection_scale), _panels(run), run.deflection()
+    track, panels, bend = Track(run, '', deflection_scale), _panels(run), run.deflection()
     parts = np.array_split(np.arange(len(run.t)), min(_ARMS, len(run.t)))
     most = [part[np.abs(bend[part, 1]).argmax()] for part in parts]
-    shapes, straight = run.model.shape(run.values, scale), run.model.shape(run.values[most], 0.0)
+    shapes, straight = track.line(slice(None)), track.straight(most)
     extent, height = np.ptp(shapes, axis=(0, 1)), max(2.0 * len(panels), 6.0)
     width = min(max(height * extent[0] / max(extent[1], 0.1 * extent[0]), 3.0), 9.0)
     figure = Figure(figsize=(6.5 + width, height + 0.8), layout='constrained')
@@ -62,8 +62,8 @@ def plot(run: Any, deflection_scale: float = 1.0) -> Figure:
     rigid.set_label('arm, if it did not bend')
     plane.plot(*shapes[most, 0].T, 's', color='0.3', markersize=6, label='carrier')
     plane.set(xlabel='x [m]', ylabel='y [m]', aspect='equal', adjustable='datalim',
-              title='' if scale == 1.0 else f'deflection x {scale:g}')
-    draw_floor(plane, floor_of(run.scene.values['gravity'], run.carrier[0], body_of(run.scene)))
+              title=track.title)
+    draw_floor(plane, track.floor)
     plane.grid(alpha=0.3)
     right.legend(fontsize='small', frameon=False, loc='outside upper right')
     return figure
