@@ -405,13 +405,11 @@ def replay(file: str, settings: tuple[str, ...], scene: str | None, output: str 
     'Samples per second of sim time; by default every step, of a long run every n-th one, '
     'for 20000 samples at most if some n divides the number of steps.'))
 @_estimate
-@click.option('--view', is_flag=True, help='Show the run in rerun.')
 @_png(help='Picture to write: curves over time, and the arm in the plane.')
 @_gif
 @_deflection_scale
 def simulate(scene: Scene, duration: float, output: str | None, rate: float | None,
-             estimate: bool, view: bool, png: str | None, gif: str | None,
-             deflection_scale: float) -> None:
+             estimate: bool, png: str | None, gif: str | None, deflection_scale: float) -> None:
     r"""
     Simulate SCENE, a parameter file or the name of an installed scene, without ROS.
 
@@ -427,7 +425,7 @@ def simulate(scene: Scene, duration: float, output: str | None, rate: float | No
     from timo_sim.simulation.warnings import DivergenceError
     if output and not output.endswith('.mcap'):
         check_table(Path(output), also='.mcap, ')
-    _require(matplotlib=png or gif, rerun=view, pyarrow=output and output.endswith('.parquet'))
+    _require(matplotlib=png or gif, pyarrow=output and output.endswith('.parquet'))
     scene, steps = resolve(scene, duration, click.echo)
     every = whole_ratio('1/integrator.step', 1.0 / scene.step, '--rate', rate) if rate else (
         enough_samples(steps))
@@ -449,8 +447,6 @@ def simulate(scene: Scene, duration: float, output: str | None, rate: float | No
         from timo_sim.view.track import Track
         animate([Track(run, 'run', deflection_scale)], gif)
         click.echo(f'{gif} is written')
-    if view:
-        run.view(deflection_scale=deflection_scale)
     if diverged:
         click.echo(f'timo_sim: {diverged}', err=True)
         sys.exit(1)
