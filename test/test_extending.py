@@ -66,7 +66,7 @@ def extended(tmp_path_factory):
                         ignore=shutil.ignore_patterns('__pycache__'))
     package = folder / 'timo_sim'
     insert(package / 'topics/outputs.py', '    ]\n\n\n# Frames', TOPIC)
-    insert(package / 'topics/outputs.py', ')\n\n\nNANOSECONDS', SENSOR)
+    insert(package / 'topics/outputs.py', ')\n\n\n_GRAVITY', SENSOR)
     insert(package / 'model/layout.py', ')\nLOADS', INPUT)
     insert(package / 'model/newton.py', '        for n in range(count):\n            force[i]',
            FORMULA)

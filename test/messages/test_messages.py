@@ -159,5 +159,5 @@ def test_a_reader_says_what_messages_of_changing_layouts_hold():
         assert read(pack(kind, {'header': {'stamp': {'sec': 1, 'nanosec': 2}, 'frame_id': 'f'},
                                 'name': names, 'position': numbers, 'effort': [7.0]})) == (
             ['f', *names], [numbers, [], [7.0]], 1000000002)
-    with pytest.raises(CdrError, match='it has 9036 bytes, more than'):
+    with pytest.raises(CdrError, match='more than 8192'):
         read(pack(kind, {'name': [8991 * 'a']}))

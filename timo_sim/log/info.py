@@ -9,7 +9,7 @@ from textwrap import wrap
 
 from timo_sim.log.notes import ENVIRONMENT, plain
 from timo_sim.log.read import LogFile
-from timo_sim.topics.outputs import NANOSECONDS
+from timo_sim.topics.cdr import NANOSECONDS
 
 _IN_A_LINE = 4  # counters
 

@@ -249,16 +249,20 @@ class LogFile:
                                f'{str(note)[:80]!r}') from None
         return found
 
-    def messages(self, channels: Collection[int]) -> Iterator[tuple[int, Messages]]:
-        """Yield channels of these with Messages; raise LogError if the file is damaged."""
+    def messages(self, topics: Collection[str]) -> Iterator[tuple[str, Messages]]:
+        """Yield topics of these with Messages; raise LogError if the file is damaged."""
+        channels = {number: channel.topic for number, channel in self.summary.channels.items()
+                    if channel.topic in topics}
+        if not channels:
+            return
         with _open(self.path) as stream:
             reader = _Reader(stream)
             for record in reader.records():
                 if isinstance(record, Messages):
-                    for channel in channels:
+                    for channel, topic in channels.items():
                         own = record.heads['channel'] == channel
                         if own.any():
-                            yield channel, record.those(own)
+                            yield topic, record.those(own)
             if reader.damage:
                 raise self._damaged(reader.damage)
 

@@ -28,9 +28,9 @@ from timo_sim.log.rosbag2 import information, yaml_text
 from timo_sim.scene.files import check_new, whole_file
 from timo_sim.scene.parameters import frame_names, ParameterError, PARAMETERS
 from timo_sim.scene.scene import load_scene
-from timo_sim.topics.cdr import CdrError, form, layout, Reader
+from timo_sim.topics.cdr import CdrError, form, layout, NANOSECONDS, Reader
 from timo_sim.topics.commands import COMMANDS, RefusedError
-from timo_sim.topics.outputs import NANOSECONDS, outputs, title, with_angles
+from timo_sim.topics.outputs import outputs, title, with_angles
 
 _AT_ONCE = 4096  # messages that are converted to arrays together
 _COMMANDS = {command.name: command for command in COMMANDS}
@@ -131,18 +131,18 @@ class Recording:
         if not self.facts:
             self._read_scene()
         # If ros2_control publishes joint_states, the node publishes its own below its name.
-        topics = {channel.topic for _, channel, _ in self._channels()}
+        topics = {channel.topic for channel, _ in self._channels()}
         own, usual = f'{self.name}/joint_states', f'{self.name.rpartition("/")[0]}/joint_states'
         self._names = {own if own in topics else usual: 'joint_states',
                        **original_names(self.facts)}
         self._wanted, self.unread = {}, {}
         self._read: dict[str, Series] = {}
-        for number, channel, schema in self._channels():
+        for channel, schema in self._channels():
             short = self.short_name(channel.topic)
             if short in _TYPES:
                 kind = schema.name if schema else 'unknown, without a schema'
                 if (kind, channel.message_encoding) == (_TYPES[short], 'cdr'):
-                    self._wanted[number] = short, channel.topic, kind
+                    self._wanted[channel.topic] = short
                 else:
                     self.unread[channel.topic] = (
                         f'{channel.topic[:80]} is not read: its type is {kind[:80]}, encoded as '
@@ -150,8 +150,8 @@ class Recording:
 
     def _read_scene(self):
         """Take start, resets and changes from ~/scene, if a bag has it."""
-        wanted = {number: TEXT for number, channel, schema in self._channels()
-                  if channel.topic == f'{self.name}/scene' and schema and schema.name == TEXT}
+        wanted = [channel.topic for channel, schema in self._channels()
+                  if channel.topic == f'{self.name}/scene' and schema and schema.name == TEXT]
         received = sorted(each for _, messages in self._messages(wanted) for each in zip(
             messages.heads['publish_time'].tolist(), messages.serialized()))
         if not received:
@@ -229,19 +229,18 @@ class Recording:
 
     def read(self, *names: str) -> dict[str, Series]:
         """Return series by short name, by default all; what was read once is kept."""
-        names = names or tuple(name for name, *_ in self._wanted.values())
-        found = {number: about for number, about in self._wanted.items()
-                 if about[0] in names and about[0] not in self._read}
-        twice = Counter((part, about[0]) for (part, _), about in found.items()).most_common(1)
-        if twice and twice[0][1] > 1:
-            raise LogError(f'{self.title} has two channels of {twice[0][0][1]}')
-        collectors = {
-            about: _Collector(self.title, *about, self.frames, self.reset_times is not None)
-            for about in found.values()}
-        for about, messages in self._messages(found):
-            collectors[about].add(messages)
-        self._read |= {name: self._series(each) for (name, *_), each in collectors.items()}
-        return {name: self._read[name] for name, *_ in self._wanted.values() if name in names}
+        names = names or tuple(self._wanted.values())
+        found = {topic: name for topic, name in self._wanted.items()
+                 if name in names and name not in self._read}
+        if twice := [name for name, count in Counter(found.values()).items() if count > 1]:
+            raise LogError(f'{self.title} has two topics that are {twice[0]}')
+        collectors = {topic: _Collector(self.title, name, topic, self.frames,
+                                        self.reset_times is not None)
+                      for topic, name in found.items()}
+        for topic, messages in self._messages(found):
+            collectors[topic].add(messages)
+        self._read |= {name: self._series(collectors[topic]) for topic, name in found.items()}
+        return {name: self._read[name] for name in self._wanted.values() if name in names}
 
     def motion(self) -> tuple[np.ndarray, np.ndarray, np.ndarray]:
         """
@@ -322,21 +321,17 @@ class Recording:
         return topic
 
     def _channels(self):
-        """Yield (part, number), Channel and Schema or None of each channel."""
-        for part, file in enumerate(self.parts):
-            for number, channel in file.summary.channels.items():
-                yield (part, number), channel, file.summary.schemas.get(channel.schema_id)
+        """Yield each channel, with its schema or None."""
+        for file in self.parts:
+            for channel in file.summary.channels.values():
+                yield channel, file.summary.schemas.get(channel.schema_id)
 
-    def _messages(self, wanted):
-        """Yield values of `wanted`, which are by channel, with Messages of that channel."""
-        for part, file in enumerate(self.parts):
-            here = {number: about for (place, number), about in wanted.items() if place == part}
-            for channel, messages in file.messages(here) if here else ():
-                yield here[channel], messages
+    def _messages(self, topics):
+        return chain.from_iterable(file.messages(topics) for file in self.parts)
 
     def _find_node(self):
         ends = [name.removeprefix('~') for name in (*_TYPES, *_RENAMED) if name.startswith('~')]
-        topics = [channel.topic for _, channel, _ in self._channels()]
+        topics = [channel.topic for channel, _ in self._channels()]
         nodes = {topic.removesuffix(end) for topic in topics for end in ends
                  if topic.endswith(end)}
         if not nodes:
@@ -474,13 +469,13 @@ class _Collector:
     has other texts or lists than those before it on an output's topic, is a LogError.
     """
 
-    def __init__(self, title, name, topic, type_name, frames, in_bag):
-        self._title, self._name, self._topic, self._type_name = title, name, topic, type_name
+    def __init__(self, title, name, topic, frames, in_bag):
+        self._title, self._name, self._topic, self._type_name = title, name, topic, _TYPES[name]
         self._frames, self._in_bag = frames, in_bag
         self.command = _COMMANDS.get(name)
         self._columns = self.command.names if self.command else ()
         self._refused, self._waiting, self._parts = 0, [], []
-        self._reader = Reader(type_name)
+        self._reader = Reader(self._type_name)
 
     def add(self, messages):
         """Add Messages."""

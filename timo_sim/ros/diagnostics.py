@@ -10,7 +10,7 @@ from rclpy.serialization import serialize_message
 from timo_sim.ros.loop import Loop, Waiting
 from timo_sim.ros.topics import Commands, Outlet, RunLog
 from timo_sim.simulation.simulator import Simulator
-from timo_sim.topics.outputs import NANOSECONDS
+from timo_sim.topics.cdr import NANOSECONDS
 
 _PERIOD = 1.0  # [s] of wall time
 _TWO_CLOCKS = '/clock has another publisher: nodes that use sim time see it jump'

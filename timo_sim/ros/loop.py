@@ -17,8 +17,8 @@ from timo_sim.simulation.loads import load_of_commands
 from timo_sim.simulation.simulator import Simulator
 from timo_sim.simulation.snapshot import Snapshot
 from timo_sim.simulation.warnings import DivergenceError
+from timo_sim.topics.cdr import NANOSECONDS
 from timo_sim.topics.commands import COMMANDED, has_tip_force
-from timo_sim.topics.outputs import NANOSECONDS
 
 _TICK_TIME = 1e-3          # [s] of wall time; shorter steps are done several at a time
 _PAUSED_POLL = 0.01   # [s] of wall time between two checks of a paused loop

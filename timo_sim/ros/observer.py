@@ -26,9 +26,9 @@ from timo_sim.scene.parameters import frame_names, Parameter, ParameterError, sh
 from timo_sim.scene.scene import scene_from
 from timo_sim.simulation.loads import load_of_commands
 from timo_sim.simulation.warnings import DivergenceError
-from timo_sim.topics.cdr import CdrError, form, Reader
+from timo_sim.topics.cdr import CdrError, form, NANOSECONDS, Reader
 from timo_sim.topics.commands import COMMANDED, RefusedError
-from timo_sim.topics.outputs import IMU, NANOSECONDS, outputs, SENSORS
+from timo_sim.topics.outputs import IMU, outputs, SENSORS
 
 _POLL = 1e-3        # [s] of wall time between two looks for messages
 _LONGEST_GAP = 1.0  # [s] between stamps, forward or back, beyond which an estimate begins again

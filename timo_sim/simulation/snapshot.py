@@ -18,7 +18,8 @@ from timo_sim.model.layout import (
     FORCE_I, FORCE_II, FORCE_X, FORCE_Y, Motion, MOTOR_FRICTION, place, rotate, TORQUE)
 from timo_sim.scene.scene import Scene
 from timo_sim.steps.bristles import DEFLECTION, memory_at, swing_of, UNITS
-from timo_sim.topics.outputs import NANOSECONDS, SENSORS
+from timo_sim.topics.cdr import NANOSECONDS
+from timo_sim.topics.outputs import SENSORS
 
 
 def applied(model: Formulation, motions: np.ndarray, loads: np.ndarray) -> np.ndarray:

@@ -96,6 +96,7 @@ def schema_text(type_name: str) -> str:
     return '\n'.join(lines) + '\n'
 
 
+NANOSECONDS = 1000000000
 LARGEST = 8192  # [B] of a message that `Reader` takes, which needs 3 ms at most
 _START = 4                     # bytes of the header; alignment counts from its end
 _LITTLE_ENDIAN = b'\x00\x01'   # plain CDR
@@ -152,7 +153,7 @@ class Reader:
                                 else (0, 0))
         return Content(found.texts, [
             numbers[end - length:end] for length, end in zip(found.lists, accumulate(found.lists))
-        ], 1000000000 * seconds + nanoseconds)
+        ], NANOSECONDS * seconds + nanoseconds)
 
 
 def pack(type_name: str, values: Mapping[str, Any]) -> bytes:

@@ -92,7 +92,6 @@ SENSORS = (
 )
 
 
-NANOSECONDS = 1000000000
 _GRAVITY = 9.80665  # [m/s2]
 # The parent of each frame is the one before it; arm turns with the shaft. A node may give them
 # other names, see `in_frames`. Between world and carrier is carrier_rail; arm_1, arm_2, ... are

@@ -36,7 +36,7 @@ def plot(run: Any, deflection_scale: float = 1.0) -> Figure:
     """
     track, panels, bend = Track(run, '', deflection_scale), _panels(run), run.deflection()
     parts = np.array_split(np.arange(len(run.t)), min(_ARMS, len(run.t)))
-    most = [part[np.abs(bend[part, 1]).argmax()] for part in parts]
+    most = np.array([part[np.abs(bend[part, 1]).argmax()] for part in parts])
     shapes, straight = track.line(slice(None)), track.straight(most)
     extent, height = np.ptp(shapes, axis=(0, 1)), max(2.0 * len(panels), 6.0)
     width = min(max(height * extent[0] / max(extent[1], 0.1 * extent[0]), 3.0), 9.0)

@@ -92,10 +92,8 @@ def _send(stream, tracks, fps, at):
             line, margin = track.line(frames[part]), 0.15 * track.body.length
             entities.send_shapes(track.ns[frames[part]], line, track.straight(frames[part]))
             corners += [line.min(axis=(0, 1)) - margin, line.max(axis=(0, 1)) + margin]
-        for panel, curves in track.curves.items():
-            entities.send_curves(panel, track.ns, curves)
-            panels[panel] = len(curves)
-        for panel, ns, curves in _differences(track, tracks[0]) if run else ():
+        shown = [(panel, track.ns, curves) for panel, curves in track.curves.items()]
+        for panel, ns, curves in [*shown, *(_differences(track, tracks[0]) if run else ())]:
             entities.send_curves(panel, ns, curves)
             panels[panel] = len(curves)
     low, high = np.min(corners, axis=0), np.max(corners, axis=0)
