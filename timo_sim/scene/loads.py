@@ -186,12 +186,8 @@ def _terms_of(channel, given, step):
 
 
 def _terms(prefix, values, step):
-    amplitude = values[f'{prefix}.harmonic.amplitude']
-    phase = values[f'{prefix}.harmonic.phase'] or (0.0,) * len(amplitude)
-    yield from map(Harmonic, *same_length({
-        f'{prefix}.harmonic.amplitude': amplitude,
-        f'{prefix}.harmonic.frequency': values[f'{prefix}.harmonic.frequency'],
-        f'{prefix}.harmonic.phase': phase}))
+    yield from _harmonics(values, *(f'{prefix}.harmonic.{part}' for part in (
+        'amplitude', 'frequency', 'phase')))
     for kind, ordered in ('piecewise', np.less), ('table', np.less_equal):
         names = f'{prefix}.{kind}.time', f'{prefix}.{kind}.value'
         time, value = same_length({name: values[name] for name in names})
@@ -207,19 +203,11 @@ def _terms(prefix, values, step):
         yield replace(table, time=_whole(table.time, step))
 
 
-def _drive(values):
-    names = [f'motor.drive.{name}' for name in ('time', 'angle', 'speed', 'acceleration')]
-    points = same_length({name: values[name] for name in names})
-    shaft, time = values['motor.shaft'], points[0]
-    if (shaft == 'driven') != bool(time):
-        raise ParameterError(f'motor.drive must be given with motor.shaft = driven, and only '
-                             f'then; got {len(time)} points with motor.shaft = {shaft}')
-    if shaft == 'locked':
-        return Drive((0.0,), (values['initial.shaft'],), (0.0,), (0.0,)),
-    if not time:
-        return ()
-    _check_points(names, points)
-    return Drive(_whole(time, values['integrator.step']), *points[1:]),
+def _harmonics(values, amplitude, frequency, phase):
+    # The harmonic terms of parameters with these names.
+    return [*map(Harmonic, *same_length({
+        amplitude: values[amplitude], frequency: values[frequency],
+        phase: values[phase] or (0.0,) * len(values[amplitude])}))]
 
 
 def _whole(time, step):
@@ -227,46 +215,50 @@ def _whole(time, step):
     return tuple(on_boundaries(time, step).tolist())
 
 
-def _check_points(names, points):
-    time, acceleration = points[0], points[3]
+def _curve(values, names):
+    # The Drive of points, whose times, places, speeds and accelerations have these names, or ().
+    time, place, speed, acceleration = same_length({name: values[name] for name in names})
+    if not time:
+        return ()
     if time[0] != 0.0 or not np.all(np.less(time[:-1], time[1:])):
         raise ParameterError(f'{names[0]} must ascend from 0, got {short(list(time))}')
     if acceleration[-1] != 0.0:
         raise ParameterError(f'{names[3]} must end with 0, since what is driven goes on at the '
                              f'last speed; got {acceleration[-1]}')
+    return Drive(_whole(time, values['integrator.step']), place, speed, acceleration),
 
 
-_DRIVE = 'carrier.drive.'
+def _drive(values):
+    shaft, count = values['motor.shaft'], len(values['motor.drive.time'])
+    drive = _curve(values, [f'motor.drive.{name}' for name in (
+        'time', 'angle', 'speed', 'acceleration')])
+    if (shaft == 'driven') != bool(count):
+        raise ParameterError(f'motor.drive must be given with motor.shaft = driven, and only '
+                             f'then; got {count} points with motor.shaft = {shaft}')
+    return drive if shaft != 'locked' else (
+        Drive((0.0,), (values['initial.shaft'],), (0.0,), (0.0,)),)
 
 
 def _carrier_drive(values):
     # Terms of place, speed and acceleration of a driven carrier, by name of channel.
     found: dict[str, tuple[Any, ...]] = {}
-    of = {name.removeprefix(_DRIVE): value for name, value in values.items()
-          if name.startswith(_DRIVE)}
-    for part, first, second in (('time', 'x', 'y'), ('harmonic.frequency', 'harmonic.x',
-                                                     'harmonic.y')):
-        if of[part] and not (of[first] or of[second]):
-            raise ParameterError(f'{_DRIVE}{first} or {second} must be given with {_DRIVE}{part}')
-    frequency, phase = of['harmonic.frequency'], of['harmonic.phase']
+    drive, wave = 'carrier.drive.', 'carrier.drive.harmonic.'
+    for given, prefix in (f'{drive}time', drive), (f'{wave}frequency', wave):
+        if values[given] and not (values[f'{prefix}x'] or values[f'{prefix}y']):
+            raise ParameterError(f'{prefix}x or {prefix.removeprefix(drive)}y must be given '
+                                 f'with {given}')
     for axis in 'xy':
-        names = 'time', axis, f'{axis}_speed', f'{axis}_acceleration'
-        points: tuple[Any, ...] = ()
-        if any(of[name] for name in names[1:]):
-            points = same_length({_DRIVE + name: of[name] for name in names})
-            _check_points([_DRIVE + name for name in names], points)
-            points = _whole(points[0], values['integrator.step']), *points[1:]
-        terms = same_length({
-            f'{_DRIVE}harmonic.{axis}': of[f'harmonic.{axis}'],
-            f'{_DRIVE}harmonic.frequency': frequency,
-            f'{_DRIVE}harmonic.phase': phase or (0.0,) * len(frequency),
-        }) if of[f'harmonic.{axis}'] else ()
+        names = [f'{drive}{name}' for name in (
+            'time', axis, f'{axis}_speed', f'{axis}_acceleration')]
+        curve = _curve(values, names) if any(values[name] for name in names[1:]) else ()
+        waves = _harmonics(values, f'{wave}{axis}', f'{wave}frequency', f'{wave}phase') if (
+            values[f'{wave}{axis}']) else ()
         for order, name in enumerate(('place', 'speed', 'acceleration')):
-            parts = [*([replace(Drive(*points), order=order)] if points else ()), *(
-                Harmonic(size * (2.0 * np.pi * each)**order, each, late + 0.5 * np.pi * order)
-                for size, each, late in zip(*terms))]
+            parts = *(replace(each, order=order) for each in curve), *(
+                Harmonic(each.amplitude * (2.0 * np.pi * each.frequency)**order, each.frequency,
+                         each.phase + 0.5 * np.pi * order) for each in waves)
             if parts:
-                found[f'carrier_{name}_{axis}'] = tuple(parts)
+                found[f'carrier_{name}_{axis}'] = parts
     return found
 
 
