@@ -68,7 +68,7 @@ def test_below_its_first_frequency_newton_gives_no_warning(paper, recwarn):
 def test_the_file_drives_along_the_formula(spin_up):
     """Its points, every 0.5 s, agree to twelve digits; between them it is within 4e-9 rad."""
     load = timo_sim.load_scene(spin_up).load
-    drive = load.drive
+    drive, = load.terms['angle']
     theta, speed, acceleration = references.spin_up()
     for k, t in enumerate(drive.time):
         assert drive.angle[k] == pytest.approx(theta(t), abs=1e-11)
