@@ -13,7 +13,7 @@ from timo_sim.model.layout import INPUTS, Motion
 from timo_sim.scene.bodies import BODIES, modal_count
 from timo_sim.scene.loads import TERM_NAMES
 from timo_sim.scene.parameters import (
-    driven_along, fixed_axes, ParameterError, PARAMETERS, short, StepError, VELOCITIES)
+    driven_along, fixed_axes, MODAL, ParameterError, PARAMETERS, short, StepError, VELOCITIES)
 from timo_sim.steps.bristles import fastest, mobilities, MORE, REACH, SLOW, springs_of
 
 _MAX_NUMBER = 1e50  # products of six numbers, as in an energy, do not overflow
@@ -46,8 +46,7 @@ def check_together(values: Mapping[str, Any]) -> None:
         raise ParameterError('arm.damping_of must be clamped with a free shaft on a spring, which '
                              f'vibrates, too, got {values["arm.damping_of"]}')
     # Rules that hold with some values of another parameter: numbers are 0 or > 0, texts as named.
-    gear, moving = 'motor.gear.stiffness', (
-        *VELOCITIES, 'initial.modal_coordinates', 'initial.modal_rates')
+    gear = 'motor.gear.stiffness'
     for name, rule, other, holds in (
             ('motor.rotor.inertia', '> 0 kg m2', gear, elastic),
             ('motor.shaft', 'free', gear, elastic),
@@ -57,7 +56,7 @@ def check_together(values: Mapping[str, Any]) -> None:
             ('initial.carrier_y_velocity', '0', 'carrier.held', fixed in ('y', 'both')),
             ('initial.equilibrium', 'false', 'motor.shaft', shaft == 'driven'),
             *((name, 'empty or 0', 'initial.equilibrium', values['initial.equilibrium'])
-              for name in moving),
+              for name in (*VELOCITIES, *MODAL)),
             ('model.axial_modes', '0', 'model.formulation',
              values['model.formulation'] != 'exact'),
             ('carrier.mass', '> 0 kg', 'carrier.held', fixed != 'both')):
@@ -95,8 +94,7 @@ def check_counts(values: Mapping[str, Any], static: tuple[str, ...]) -> None:
         modes = shapes = 0  # chosen later: no lists with an element for each mode can be given
     arm = max(modes - elastic, 0)
     for name, allowed in (('arm.damping_ratio', (0, 1, arm, arm + shapes)),
-                          ('initial.modal_coordinates', (0, modes, modes + shapes)),
-                          ('initial.modal_rates', (0, modes, modes + shapes))):
+                          *((name, (0, modes, modes + shapes)) for name in MODAL)):
         if len(values[name]) not in allowed:
             expected = ' or '.join(str(count) for count in sorted(set(allowed)))
             cause = 'a stated model.accuracy' if values['model.accuracy'] else (

@@ -9,7 +9,7 @@ import re
 from typing import Any
 
 from timo_sim.scene.parameters import (
-    did_you_mean, Parameter, ParameterError, PARAMETERS, SCENE, short)
+    did_you_mean, MODAL, Parameter, ParameterError, PARAMETERS, SCENE, short)
 from timo_sim.scene.scene import Scene
 from timo_sim.topics.commands import JOINTS
 
@@ -33,7 +33,7 @@ def number_of(name: str, scene: Scene, others: str = '',
                              f'{"neither" if others else "not"} a parameter of the scene{others}'
                              f'{did_you_mean(base, [*PARAMETERS, *names])}')
     value = scene.values.get(base)
-    if base.startswith('initial.modal') and value == ():
+    if base in MODAL and value == ():
         value = (0.0,) * scene.modal_count
     if (parameter.scope != SCENE or base.startswith(_FIXED)
             or not isinstance(value, (float, tuple)) or value is True):
@@ -66,8 +66,7 @@ def initial_names(scene: Scene) -> list[str]:
     modes = range(scene.modal_count)
     return [*(f'initial.{joint}' for joint in joints),
             *(f'initial.{joint}_velocity' for joint in joints),
-            *(f'initial.modal_coordinates[{n}]' for n in modes),
-            *(f'initial.modal_rates[{n}]' for n in modes)]
+            *(f'{name}[{n}]' for name in MODAL for n in modes)]
 
 
 def initial_scale(name: str, scene: Scene) -> float:
@@ -78,7 +77,7 @@ def initial_scale(name: str, scene: Scene) -> float:
     """
     base, n = _split_index(name)
     model, length = scene.build(), scene.manipulator.arm.length
-    if base.startswith('initial.modal'):  # a gear turns the shaft, and no section of the arm
+    if base in MODAL:  # a gear turns the shaft, and no section of the arm
         travel = model.tip_travel[3 + n] or length * model.section_turn_bound[n]
         return 0.1 * length / travel * (
             model.modes.omega[n] if base == 'initial.modal_rates' else 1.0)

@@ -463,6 +463,7 @@ RATES = [name for name in PARAMETERS if name.startswith('rate.')]
 DELAYS = [name for name in PARAMETERS if name.endswith('.delay')]
 POSITIONS = [f'initial.{joint}' for joint in JOINTS]
 VELOCITIES = [f'{name}_velocity' for name in POSITIONS]
+MODAL = 'initial.modal_coordinates', 'initial.modal_rates'
 
 
 def check(values: Mapping[str, Any], source: str) -> dict[str, Any]:

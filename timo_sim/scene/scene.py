@@ -31,7 +31,7 @@ from timo_sim.scene.checks import (
 from timo_sim.scene.files import flatten, read_parameter_file
 from timo_sim.scene.loads import Load, load_of, payloads_of, SHAFT_DRIVE
 from timo_sim.scene.parameters import (
-    changed, check, checked, complete, DELAYS, driven_along, FUNCTION, gives_arm, MAPPING, NUMBER,
+    changed, check, checked, complete, DELAYS, driven_along, FUNCTION, gives_arm, MAPPING, MODAL, NUMBER,
     ParameterError, PARAMETERS, POSITIONS, SCENE, short, VELOCITIES, warn, whole_ratio)
 from timo_sim.scene.plausible import find_implausible, find_outdated
 from timo_sim.scene.static_shapes import (
@@ -45,7 +45,6 @@ _LEFT = 0.7
 _TIP: Any = (lambda tip: tip[0] >= 0.0 <= tip[1] and 2 <= len(tip) <= 3,
              'two numbers >= 0, and an offset')
 _TIP_FIELDS = 'end_effector_mass', 'end_effector_inertia', 'end_effector_offset'
-_MODAL = 'initial.modal_coordinates', 'initial.modal_rates'
 _SCENE_NAMES = [name for name, parameter in PARAMETERS.items() if parameter.scope == SCENE]
 
 
@@ -261,8 +260,7 @@ class Scene:
         position, velocity = run.values[sample].reshape(2, -1).tolist()
         return self.vary({
             **dict(zip(POSITIONS, position)), **dict(zip(VELOCITIES, velocity)),
-            'initial.modal_coordinates': position[3:], 'initial.modal_rates': velocity[3:],
-            'initial.equilibrium': False})
+            **dict(zip(MODAL, (position[3:], velocity[3:]))), 'initial.equilibrium': False})
 
     def __getstate__(self):
         # The formulation is left out: the other process builds it again.
@@ -294,7 +292,7 @@ class Scene:
             for k, columns in enumerate(((PLACE_X, SPEED_X), (PLACE_Y, SPEED_Y), (ANGLE, SPEED))):
                 if driven[k]:
                     position[k], velocity[k] = at_start[[*columns]]
-        q, qdot = map(self.modal, _MODAL)
+        q, qdot = map(self.modal, MODAL)
         motion = np.concatenate([position, q or rest, velocity, qdot or rest])
         if not values['initial.equilibrium']:
             return motion
@@ -305,7 +303,7 @@ class Scene:
         except ValueError as error:
             raise ParameterError(f'initial.equilibrium = true: {error}') from None
 
-    @checked(name=(lambda name: name in _MODAL, ' or '.join(_MODAL)))
+    @checked(name=(lambda name: name in MODAL, ' or '.join(MODAL)))
     def modal(self, name: str) -> tuple[float, ...]:
         """Return a list of initial coordinates or rates with those of static shapes, or ()."""
         given, count = self.values[name], self.values['model.modes']

@@ -28,7 +28,7 @@ from timo_sim.model.formulation import Formulation
 from timo_sim.model.modes import axial_modes
 from timo_sim.scene.loads import on_boundaries
 from timo_sim.scene.parameters import (
-    checked, FLAG, FUNCTION, ParameterError, PARAMETERS, WHOLE)
+    checked, FLAG, FUNCTION, MODAL, ParameterError, PARAMETERS, WHOLE)
 from timo_sim.scene.scene import load_scene, Scene, SceneLike
 from timo_sim.scene.static_shapes import (
     AXIAL_PHASE, MORE_MODES, needed_static_of_finer, one_more_does)
@@ -40,7 +40,6 @@ PARTS = 2, 8, 32  # of a step, from which those of the finer run are chosen
 # A pick-up excites all modes, and the error falls only as 1/N: there are more of them.
 _MODES_OF_IMPACT, _MOST_MODES = 4, 40 + MORE_MODES
 _MODES_OF_PUSH = 2  # a force within the arm makes a kink, whose error falls slowly, too
-_LISTS = 'initial.modal_coordinates', 'initial.modal_rates'
 _TIMES = [name for name in PARAMETERS if name.endswith('.time')]
 _MAX_PENDING_CALLS = 256  # most calls of `advance` that a finer run may be behind
 # A finer run advances by at least so many steps at a time: the call itself costs as much.
@@ -100,7 +99,7 @@ def refine(scene: Scene, parts: int, modes: int | None = None, axial: int | None
     found = replace(scene, step=scene.step / parts, values=MappingProxyType(finer), static=static,
                     keeps_axial=resolved or not stretching)
     size, shapes = bending + modes + len(static), scene.build().modes
-    for name in _LISTS:
+    for name in MODAL:
         if q := scene.modal(name):  # a static shape is a sum of finer modes and shapes
             across = found.build().project_on_modes(lambda xi: shapes.deflection(xi) @ q,
                                                     lambda xi: shapes.rotation(xi) @ q)
