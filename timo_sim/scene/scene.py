@@ -31,8 +31,8 @@ from timo_sim.scene.checks import (
 from timo_sim.scene.files import flatten, read_parameter_file
 from timo_sim.scene.loads import Load, load_of, payloads_of, SHAFT_DRIVE
 from timo_sim.scene.parameters import (
-    changed, check, checked, complete, DELAYS, driven_along, FUNCTION, gives_arm, MAPPING, MODAL, NUMBER,
-    ParameterError, PARAMETERS, POSITIONS, SCENE, short, VELOCITIES, warn, whole_ratio)
+    changed, check, checked, complete, DELAYS, driven_along, FUNCTION, gives_arm, MAPPING, MODAL,
+    NUMBER, ParameterError, PARAMETERS, POSITIONS, SCENE, short, VELOCITIES, warn, whole_ratio)
 from timo_sim.scene.plausible import find_implausible, find_outdated
 from timo_sim.scene.static_shapes import (
     fastest_shape, needed_static, SLOWED, STATIC, with_shapes)
