@@ -68,7 +68,8 @@ def frequencies():
                      f'{fem["f_hz"][n]:.4f}', f'{fem["f_extrapolated_hz"][n]:.6f}',
                      f'{ours[n]:.6f}', f'{percent:.2f}', f'{off[-1][0]:.4f}',
                      f'{off[-1][1]:.0e}'])
-    cutoff = model.manipulator.arm.section.cutoff / (2.0 * np.pi)
+    section = model.manipulator.arm.section
+    cutoff = np.sqrt(section.shear_stiffness / section.inertia_per_length) / (2.0 * np.pi)
     text = table(['mode', 'paper, analytic Hz', 'ours', 'same digits', 'paper, 200 elements',
                   'ours, 200 elements', 'ours, extrapolated', 'ours, closed form',
                   'paper, error %', 'ours, error %, 200 elements', 'extrapolated'], rows)

@@ -127,11 +127,6 @@ class Section:
         square = self.inertia_per_length / self.mass_per_length
         return square, self.bending_stiffness / (self.shear_stiffness * square)
 
-    @property
-    def cutoff(self) -> float:
-        """Cut-off frequency omega_0, above which the second spectrum begins [rad/s]."""
-        return math.sqrt(self.shear_stiffness / self.inertia_per_length)
-
 
 @dataclass(frozen=True)
 class Beam:

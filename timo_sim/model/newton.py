@@ -291,12 +291,6 @@ class Tables(NamedTuple):
     modal_mass: Annotated[np.ndarray, 'modes', 'modes']    # G and the rotary inertia
 
 
-@inner
-def _half(tables):
-    """Return the half of the length of a state."""
-    return len(tables.axes) + len(tables.inverse)
-
-
 # A force on the arm. Without one it is -0.0, the neutral element of addition, so that LLVM removes
 # the additions.
 
@@ -374,7 +368,7 @@ def _set_carrier(tables, state, load, cosine, sine, axial, shear, tilt, out):
     Forces are those at alpha = beta = 0. In a freely falling frame gravity vanishes, see
     doc/theory.md, section 10: beta is seen there, and a held carrier accelerates by a - g.
     """
-    axes, half, gravity = tables.axes, _half(tables), tables.gravity
+    axes, half, gravity = tables.axes, len(tables.places) // 2, tables.gravity
     force_x = load[FORCE_X] + cosine * load[FORCE_I] - sine * load[FORCE_II]
     force_y = load[FORCE_Y] + sine * load[FORCE_I] + cosine * load[FORCE_II]
     held_x, held_y = load[ACCELERATION_X] - gravity[0], load[ACCELERATION_Y] - gravity[1]
@@ -411,7 +405,7 @@ def _set_carrier(tables, state, load, cosine, sine, axial, shear, tilt, out):
 def _rate(tables, state, load, out):
     """Write the state's rate less its linear part."""
     rows, count = tables.softening.shape
-    driven, half = rows - len(tables.inverse), _half(tables)
+    driven, half = rows - len(tables.inverse), len(tables.places) // 2
     modal = half - count
     q, qdot = local((tables.axial,)), local((tables.axial,))
     for n in range(count):
@@ -495,7 +489,7 @@ def _joint_place(tables, state, load, joint):
                  else state[len(tables.axes)])
         if joint == 2:
             for n in range(len(tables.gear)):
-                found += tables.gear[n, PER_COORDINATE] * state[_half(tables) - 1]
+                found += tables.gear[n, PER_COORDINATE] * state[len(tables.places) // 2 - 1]
     else:
         for k in range(len(tables.axes)):
             if tables.axes[k] == joint:
