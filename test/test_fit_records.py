@@ -11,7 +11,6 @@ import pytest
 import yaml
 
 import timo_sim
-from timo_sim.fitting import result
 from timo_sim.fitting.problem import Problem
 from timo_sim.fitting.start import from_record
 
@@ -76,13 +75,6 @@ def test_a_fit_finds_the_truth_from_a_wrong_guess():
     assert times == sorted(times)
 
 
-def test_a_long_fit_says_what_makes_it_shorter(monkeypatch):
-    monkeypatch.setattr(result, '_LONG', 0.0)
-    told = []
-    timo_sim.fit(SCENE, made(SQUARE, 1), ['arm.young_modulus'], starts=1, tell=told.append)
-    assert 'with fewer modes' in told[0]
-
-
 def test_what_a_record_suggests_is_near_the_truth():
     """The balance of a driven shaft, however wrong the guess is that a run would begin with."""
     guess = wrong(1 / 9.0, 3.0, 1 / 3.0, 1 / 3.0)
@@ -124,7 +116,7 @@ def test_records_share_the_physics_and_have_states_and_biases_of_their_own():
            'tip_transverse.bias (record 1)': 0.02, 'tip_transverse.bias (record 2)': -0.01}
     assert distances(found, {**TRUTH, **own}).max() < 4.0
     # Each record has its own noise, by which it weighs; the third was predicted alone.
-    assert [each.errors['tip_transverse'].residual_rms for each in (found, *found.more)] == (
+    assert [each.errors['tip_transverse'].rms for each in (found, *found.more)] == (
         pytest.approx([NOISE['tip_transverse'], 3.0 * NOISE['tip_transverse'], np.nan], rel=0.1,
                       nan_ok=True))
     assert found.more[1].until == 0.0

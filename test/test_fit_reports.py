@@ -57,7 +57,10 @@ def fit(measured, free=FREE, factor=1.1, more=None, **options):
     ('a delay of tip_transverse', {'late': 9}),
     ('a limit of the voltage', {'volts': np.clip(VOLTAGE, -2.4, 2.4)}),
     ('gravity, as of a tilted plane', {'more': {'gravity': [0.2, -0.4]}}),
-    ('backlash of the gear', {'more': GEAR})])
+    ('backlash of the gear', {'more': GEAR}),
+    ('a spring on the shaft, as of a cable', {'more': {'motor.spring.stiffness': 0.1}}),
+    ('a clamp that gives', {'more': {'arm.root_stiffness': 3.0}}),
+    ('a dead zone of voltage', {'volts': VOLTAGE - np.clip(VOLTAGE, -0.3, 0.3)})])
 def test_what_a_record_has_and_the_scene_lacks_is_the_first_suspect(name, made):
     found = fit(record(**made))
     told = [text for text in found.warnings if 'look like' in text]
@@ -90,7 +93,7 @@ def test_a_mode_is_told_from_a_resonance():
     found = fit(record(volts=volts, told=volts), [*FREE, 'motor.dc.torque_constant'],
                 more={'model.modes': 1})
     assert found.suspects[0].name == 'one more mode'
-    assert found.suspects[0].advice == 'set model.modes to 2'
+    assert found.suspects[0].advice == 'set model.modes=2'
 
 
 @pytest.mark.parametrize('assumed', [0.0, 0.1])
@@ -115,7 +118,7 @@ def test_offsets_and_starts_that_a_scene_lacks_are_suspects():
         in zip((0.0, 0.01), plain.outputs.items())})
     found = fit(moved)
     assert found.suspects[0].name == 'an offset of tip_transverse'
-    assert not found.white and found.suspects[0].advice.endswith('about 0.01')
+    assert not found.white and found.suspects[0].advice == 'free tip_transverse.bias=0.01'
 
 
 def test_a_run_begins_where_the_record_does():

@@ -321,7 +321,7 @@ def start(seed, duration):
         begun = time.process_time()
         found = quiet(timo_sim.fit, scene, measured, free)
         times.append(time.process_time() - begun)
-        sizes.append(np.array([each.residual_rms for each in found.errors.values()]))
+        sizes.append(np.array([each.rms for each in found.errors.values()]))
     return kind, float((sizes[1] / sizes[0]).max()), *times
 
 

@@ -479,9 +479,9 @@ def sweep(file: str, output: str | None, workers: int | None, scheduler: str | N
     'that of RECORD, if it is a log of the node.'))
 @click.option('--free', multiple=True, metavar='NAME,NAME', help=(
     'Parameters to be fitted: of the scene; QUANTITY.gain, .bias, .delay or .lag of an input or '
-    'output; or initial for the whole initial state. NAME=VALUE~WIDTH gives a first guess and how '
-    'well it is known: 5%, x3 (a factor), a number, or inf; a ~WIDTH alone is that of all that '
-    'have none. It may be given again for further ones.'))
+    'output, .dead_zone of an input; or initial for the whole initial state. NAME=VALUE~WIDTH '
+    'gives a first guess and how well it is known: 5%, x3 (a factor), a number, or inf; a ~WIDTH '
+    'alone is that of all that have none. It may be given again for further ones.'))
 @click.option('--bounds', multiple=True, metavar='NAME=LOW:HIGH',
               help='Bounds of one of them; several may follow.')
 @_settings

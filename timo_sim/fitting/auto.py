@@ -13,7 +13,7 @@ import numpy as np
 from timo_sim.fitting.objective import Objective
 from timo_sim.fitting.problem import split_guess, TimeIsUp
 from timo_sim.fitting.record import DRIVE, Record
-from timo_sim.fitting.search import reason_of, Search
+from timo_sim.fitting.search import INTERRUPTED, Search
 from timo_sim.fitting.suspects import BETTER, predict, suspects
 from timo_sim.scene.bodies import motor_constants
 from timo_sim.scene.numbers import overrides_of
@@ -33,7 +33,7 @@ class Choice(NamedTuple):
     free: list[str]
     values: dict[str, float]
     ladder: list[str]
-    stopped: BaseException | None = None
+    interrupted: bool = False
 
 
 def plain(scene: Scene, record: Record) -> tuple[Scene, list[str]]:
@@ -94,15 +94,15 @@ def choose(scene: Scene, free: list[str], objective_of: Callable[[Scene, list[st
             own = {**best.scene.values, **values}
             found = [each for each in suspects(  # an effect may vanish as it is fitted
                 objective, x, *search.weighted(x), _SUSPECTS, error)
-                if each.change and each.change(own)]
+                if each.effect and each.effect.changes(own, *each.sizes)]
             tried = [f'    with {each.name}: {each.ratio * error:.2%}' for each in found]
             say('\n'.join(['tried', *tried]))
             best = best._replace(ladder=[*ladder, *tried])
             first = min(found, key=lambda each: each.ratio, default=None)
-            if first is None or not first.change or not first.ratio < BETTER:
+            if first is None or not first.effect or not first.ratio < BETTER:
                 return best
             line = first.name
-            changes: dict[str, Any] = first.change(own)
+            changes: dict[str, Any] = first.effect.changes(own, *first.sizes)
             scene = best.scene.vary(overrides_of({
                 name: value for name, value in changes.items()
                 if name.partition('[')[0] in own}, best.scene))
@@ -113,10 +113,11 @@ def choose(scene: Scene, free: list[str], objective_of: Callable[[Scene, list[st
                 name.replace('motor.', 'motor.rotor.')
                 if moved and name.startswith('motor.coulomb_') else each
                 for name, each in zip(names, best.free)] + [
-                    name for name in first.free if name not in names])
-    except (KeyboardInterrupt, TimeIsUp) as stop:
-        best, reason = best._replace(
-            values=best.values or search.best, stopped=stop), reason_of(stop)
+                    name for name in first.effect.free if name not in names])
+    except KeyboardInterrupt as stop:
+        reason = str(stop) or INTERRUPTED
+        best = best._replace(values=best.values or search.best,
+                             interrupted=not isinstance(stop, TimeIsUp))
     except (ArithmeticError, ParameterError) as error:
         best, reason = sure, str(error)
     say(line := f'no more effects were tried: {reason}')

@@ -95,7 +95,7 @@ def _record(path, mapping, source):
     if not isinstance(columns, Mapping) or not columns:
         raise ParameterError('columns must say which columns are which quantities, got '
                              + short(columns))
-    inputs, outputs, noise, begun = {}, {}, {}, []
+    inputs, outputs, begun = {}, {}, []
 
     def origin(value):
         # The first stamp is subtracted from all, because it may take most of their digits.
@@ -122,11 +122,10 @@ def _record(path, mapping, source):
         t = _times({**time, **own}, file, table, len(values), origin)
         with np.errstate(over='ignore'):  # what is not finite is left out
             values = factor * values + _entry(entry, 'offset', 0.0)
-        kept[name] = Channel(t, values, hold=entry.get('hold', 'zero'),
-                             knots=_entry(entry, 'knots', None))
-        if 'noise' in entry:
-            noise[name] = abs(factor) * _entry(entry, 'noise', None)
-    record = Record.of(inputs, outputs, noise, str(path))
+        noise = abs(factor) * _entry(entry, 'noise', None) if 'noise' in entry else None
+        kept[name] = Channel(t, values, noise, entry.get('hold', 'zero'),
+                             _entry(entry, 'knots', None))
+    record = Record.of(inputs, outputs, str(path))
     start, end = _entry(mapping, 'start', 0.0), _entry(mapping, 'end', np.inf)
     return record.cut(start, end) if (start, end) != (0.0, np.inf) else record
 

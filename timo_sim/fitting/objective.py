@@ -25,10 +25,9 @@ _FIRST_PART, _COARSE = 0.25, 200  # this motion is seen at so many points
 _MIN_DEVIATION = 1e-5  # least standard deviation, relative to the first
 _FIRST_DEVIATION = 0.1  # first standard deviation, relative to that of an output's values
 _MAD = 1.4826  # standard deviations in a median absolute deviation
-
-
-def _unchanged(values):
-    return {}
+# Residual of a run that fails, in standard deviations of the sensor, and in ranges of what it
+# measured, whichever is more: searches must not prefer it to a run that is far off.
+DIVERGED, _FAR_OFF = 1e3, 1e2
 
 
 class Objective:
@@ -47,7 +46,7 @@ class Objective:
 
     def __init__(self, problems: Sequence[Problem], loss: str = 'linear') -> None:
         self.problems, self.loss = [*problems], loss
-        self._change: Callable[[Mapping[str, Any]], Mapping[str, Any]] = _unchanged
+        self._change: Callable[..., Mapping[str, Any]] | None = None
         names = [[f'{free.name} (record {k})' if free.is_own and len(problems) > 1 else free.name
                   for free in each.free] for k, each in enumerate(problems, 1)]
         named: dict[str, Free] = {}
@@ -82,12 +81,19 @@ class Objective:
         part.ends = [*map(first_part, self.problems)]
         return part
 
-    def of_changed(self, problems: Sequence[Problem],
-                   change: Callable[[Mapping[str, Any]], Mapping[str, Any]]) -> Objective:
-        """Return that of other problems, whose scenes a function of their values also changes."""
-        changed = copy(self)
-        changed.problems, changed._change = [*problems], change
-        return changed
+    def with_effect(self, change: Callable[..., Mapping[str, Any]], sizes: np.ndarray,
+                    low: Any = -np.inf, high: Any = np.inf) -> Objective:
+        """
+        Return that of scenes which `change`, a function of their values and sizes, also changes.
+
+        Behind the coordinates of what is free, x has factors of the sizes, from `low` to `high`.
+        """
+        found = copy(self)
+        found._change = lambda values, factors: change(values, *(factors * sizes))
+        ones = np.ones(len(sizes))
+        for name, each in ('start', 1.0), ('low', low), ('high', high), ('widths', np.inf):
+            setattr(found, name, np.append(getattr(self, name), each * ones))
+        return found
 
     def within(self, x: np.ndarray) -> np.ndarray:
         """Return the coordinates within bounds that are nearest to some."""
@@ -98,7 +104,8 @@ class Objective:
         problem = self.problems[k]
         own = {free.name: self.free[place].value(x[place])
                for free, place in zip(problem.free, self.places[k])}
-        return {**own, **self._change({**problem.scene.values, **own})}
+        return own if self._change is None else {
+            **own, **self._change({**problem.scene.values, **own}, x[len(self.free):])}
 
     def series(self) -> list[tuple[int, str, np.ndarray]]:
         """Return the series of residuals: problem, output, and what was measured."""
@@ -107,35 +114,27 @@ class Objective:
 
     def evaluate(self, x: np.ndarray) -> tuple[np.ndarray, bool]:
         """Return all residuals, (n,), large ones of runs that fail, and whether one has failed."""
-        parts = self._of_problems(x)
-        return np.concatenate([
-            problem.residuals_of_none(deviations, end) if part is None else part
-            for problem, deviations, end, part in zip(
-                self.problems, self.deviations, self.ends, parts)] + [
-                    self._slopes @ (x - self.start)]), any(part is None for part in parts)
-
-    @property
-    def _slopes(self):
-        """The derivatives of the residuals of guesses, shape (m, p)."""
-        return math.sqrt(self._alike) * np.diag(1.0 / self.widths)[np.isfinite(self.widths)]
+        parts, fails = [], False
+        for k, (problem, end) in enumerate(zip(self.problems, self.ends)):
+            try:
+                predicted = problem.predicted(self.values(x, k), end)
+            except (DivergenceError, ParameterError):
+                predicted, fails = {}, True
+            for name, measured in problem.measurements(end).items():
+                deviation = self.deviations[k][name]
+                far = max(DIVERGED, _FAR_OFF * np.ptp(measured) / deviation)
+                parts.append((predicted[name] - measured) / deviation if predicted
+                             else np.full(len(measured), far))
+        guesses = math.sqrt(self._alike) * ((x - self.start) / self.widths)
+        return np.concatenate([*parts, guesses[np.isfinite(self.widths)]]), fails
 
     def residuals(self, x: np.ndarray) -> np.ndarray:
         """Return all residuals, shape (n,)."""
         return self.evaluate(x)[0]
 
-    def _of_problems(self, x):
-        """Return the residuals of each problem, None where a run fails."""
-        parts: list[np.ndarray | None] = []
-        for k, (problem, end) in enumerate(zip(self.problems, self.ends)):
-            try:
-                parts.append(problem.residuals(self.values(x, k), self.deviations[k], end))
-            except (DivergenceError, ParameterError):
-                parts.append(None)
-        return parts
-
     def jacobian(self, x: np.ndarray, step: float = CENTRAL, central: bool = True) -> np.ndarray:
         """Return the derivatives of the residuals by x, (n, len(x)), from differences of runs."""
-        here = np.concatenate(self.split(self.residuals(x)))
+        here = self.residuals(x)
         steps = np.full(len(x), step)
         if central:
             # A delay is varied by whole steps: within a step the run depends on it only through
@@ -144,19 +143,16 @@ class Objective:
             steps[late] *= [self.problems[0].scene.step / free.scale / CENTRAL
                             for free, is_late in zip(self.free, late) if is_late]
         steps = np.where(x + steps <= self.high, steps, -steps)
-        sizes = [sum(map(len, problem.measurements(end).values()))
-                 for problem, end in zip(self.problems, self.ends)]
 
-        def rows(shifted):
-            # NaN where a run fails, or beyond a bound.
-            if np.any((shifted < self.low) | (self.high < shifted)):
+        def rows(shift):
+            if np.any(self.within(x + shift) != x + shift):
                 return np.full(len(here), np.nan)
-            return np.concatenate([np.full(size, np.nan) if part is None else part
-                                   for size, part in zip(sizes, self._of_problems(shifted))])
+            shown, fails = self.evaluate(x + shift)
+            return np.full(len(here), np.nan) if fails else shown
 
-        return np.vstack([np.nan_to_num(differences(lambda shifts: np.array([
-            rows(x + shift) if shift.any() else here for shift in shifts]), steps,
-            2 if central else 1).slope), self._slopes])
+        return np.nan_to_num(differences(lambda shifts: np.array([
+            rows(shift) if shift.any() else here for shift in shifts]), steps,
+            2 if central else 1).slope)
 
     def split(self, rows: np.ndarray) -> list[np.ndarray]:
         """Return the rows of each output of each problem, without those of guesses."""

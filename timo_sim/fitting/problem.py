@@ -35,8 +35,8 @@ from timo_sim.scene.parameters import (
 from timo_sim.scene.scene import Scene
 
 # What a quantity of the record is multiplied by, added to and late by. `lag` is the time constant
-# of a sensor, or of what puts an input out, of first order; an angle that is driven has none.
-SENSOR = {'gain': 1.0, 'bias': 0.0, 'delay': 0.0, 'lag': 0.0}
+# of a sensor, or of what puts an input out, of first order, whose values up to `dead_zone` are 0.
+SENSOR = {'gain': 1.0, 'bias': 0.0, 'delay': 0.0, 'lag': 0.0, 'dead_zone': 0.0}
 _MAX_FACTOR = 1e3  # by which a positive parameter may differ from its start
 
 
@@ -124,6 +124,7 @@ _RULE = ('must be NAME, NAME=VALUE, NAME~WIDTH or NAME=VALUE~WIDTH with a width 
          '(a factor), 0.01 or inf')
 _GIVEN, _LENGTH, _FACTOR, _OTHER = 0.05, 0.01, 3.0, 10.0  # usual widths: parts, and factors
 _BIAS = 0.05  # that of a bias, of the range of what was measured
+_DEAD_ZONE = 0.02  # first guess, of the largest value
 
 
 def _width_of(text, name, start, scale, log, usual):
@@ -154,21 +155,25 @@ def _usual_width(name, scene, unit, log):
 def _free(name, value, width, bounds, scene, record):
     quantity, _, kind = name.rpartition('.')
     channels = {**record.inputs, **record.outputs}
-    if quantity in channels and kind in SENSOR and (kind, quantity) != ('lag', DRIVE):
+    if quantity in channels and kind in kinds_of(record, quantity):
         values = channels[quantity].values
-        # A lag begins above its bound of 0, because a search leaves a bound slowly.
-        start = 2.0 * record.period if kind == 'lag' else SENSOR[kind]
+        # What has a bound of 0 begins above it, because a search leaves a bound slowly.
+        start = {'lag': 2.0 * record.period, 'dead_zone': _DEAD_ZONE * np.abs(values).max()}.get(
+            kind, SENSOR[kind])
         spread, late = float(np.std(values)) or 1.0, 0.1 * record.duration
         low, high, scale, log, unit, usual = {
             'gain': (0.0, math.inf, 1.0, True, '', _GIVEN if value else math.log(_FACTOR)),
             'bias': (-math.inf, math.inf, spread, False, unit_of(quantity),
                      _BIAS * np.ptp(values) / spread or math.inf),
             'delay': (-late, late, 10.0 * record.period, False, 's', math.inf),
-            'lag': (0.0, late, 10.0 * record.period, False, 's', math.inf)}[kind]
+            'lag': (0.0, late, 10.0 * record.period, False, 's', math.inf),
+            'dead_zone': (0.0, np.abs(values).max(), spread, False, unit_of(quantity),
+                          math.inf)}[kind]
     else:
         parameter, start = number_of(
-            name, scene, ' nor QUANTITY.gain, .bias, .delay or .lag of ' + ', '.join(channels),
-            [f'{channel}.{kind}' for channel in channels for kind in SENSOR])
+            name, scene, ' nor QUANTITY.gain, .bias, .delay, .lag or, of an input, .dead_zone of '
+            + ', '.join(channels),
+            [f'{channel}.{kind}' for channel in channels for kind in kinds_of(record, channel)])
         low, high, unit = parameter.low, parameter.high, parameter.unit
         log = low == 0.0
         scale = initial_scale(name, scene) if name.startswith(INITIAL) else max(abs(start), 1.0)
@@ -219,23 +224,30 @@ class Driven:
         return np.column_stack([on_boundaries(self._rows[:, 0], step), self._rows[:, 1:]])
 
 
+def kinds_of(record: Record, quantity: str) -> list[str]:
+    """Return those of `SENSOR` which a quantity of a record may have."""
+    has = {'dead_zone': quantity in record.inputs and quantity != DRIVE, 'lag': quantity != DRIVE}
+    return [kind for kind in SENSOR if has.get(kind, True)]
+
+
 def sensor_of(values: Mapping[str, float], quantity: str) -> list[float]:
-    """Return gain, bias, delay and lag of the sensor of a quantity, from values by name."""
+    """Return all of `SENSOR` of a quantity, from values by name."""
     return [values.get(f'{quantity}.{kind}', usual) for kind, usual in SENSOR.items()]
 
 
 def loads_of(record: Record, scene: Scene, values: Mapping[str, float]) -> Load:
     """Return the Load of a scene and a record's inputs, whose sensors have values by name."""
     terms: dict[str, list[Any]] = {name: [*own] for name, own in scene.load.terms.items()}
-    for name, channel in record.inputs.items():
-        gain, bias, delay, lag = sensor_of(values, name)
+    for name, channel in _limited(record.inputs, scene.values).items():
+        gain, bias, delay, lag, dead = sensor_of(values, name)
         if name == DRIVE:
             terms[SHAFT_DRIVE] = [Driven(channel, gain, bias, delay)]
             continue
         if name == 'voltage':
             constant = motor_constants(scene.values)[0]
             gain, bias, name = constant * gain, constant * bias, 'torque'
-        t, shown = channel.t + delay, gain * channel.values + bias
+        acts = channel.values - np.clip(channel.values, -dead, dead)
+        t, shown = channel.t + delay, gain * acts + bias
         if channel.hold == 'zero':  # a table that jumps, also inside a step
             t, shown = np.repeat(t, 2)[1:], np.repeat(shown, 2)[:-1]
         if lag > 0.0:
@@ -247,32 +259,30 @@ def loads_of(record: Record, scene: Scene, values: Mapping[str, float]) -> Load:
 def _lagging(t, values, end, step, lag):
     """Return times and values until `end` of what follows a table with a lag; at rest at first."""
     grid = t[0] + step * np.arange(math.ceil((end - t[0]) / step) + 1)
-    # The mean over each step is held, which is exact for jumps between steps.
+    # Its integral is exact also for jumps, and taken to be straight within each step.
     inside = grid[~np.isin(grid, t)]
     places = np.searchsorted(t, inside)
     every = np.insert(t, places, inside)
-    integral = cumulative_trapezoid(
-        np.insert(values, places, np.interp(inside, t, values)), every, initial=0.0)
-    means = np.diff(np.interp(grid, every, integral)) / step
-    fade = math.exp(-step / lag)
-    follows = lfilter([1.0 - fade], [1.0, -fade], means - values[0])
-    return grid, values[0] + np.append(0.0, follows)
+    integral = np.interp(grid, every, cumulative_trapezoid(np.insert(
+        values, places, np.interp(inside, t, values)) - values[0], every, initial=0.0))
+    # lag y' = u - y, for the integrals of u and y
+    return grid, values[0] + (integral - _with_lag(integral, lag / step)) / lag
 
 
-def limit_inputs(record: Record, values: Mapping[str, Any]) -> Record:
-    """Return a record whose inputs are what a scene's actuators make of them, by its values."""
+def _limited(inputs, values):
+    """Return what a scene's actuators make of inputs, channels by name, by its values."""
+    found = dict(inputs)
     for each in INPUTS:
-        if each.name in record.inputs and each.needs and not values[each.needs]:
+        if each.name not in inputs:
+            continue
+        if each.needs and not values[each.needs]:
             raise ParameterError(f'the record has the input {each.name}, which needs '
                                  f'{each.needs} > 0, got 0')
-    inputs = dict(record.inputs)
-    for name, *_, limit, rate, _ in INPUTS:
-        if name in inputs and limit and np.isfinite(values[limit]):
-            goals = np.clip(inputs[name].values, -values[limit], values[limit])
-            inputs[name] = inputs[name]._replace(values=goals)
-        if name in inputs and rate and np.isfinite(values[rate]):
-            inputs[name] = _ramp(inputs[name], values[rate])
-    return replace(record, inputs=inputs)
+        limit, rate = (values[name] if name else np.inf for name in (each.limit, each.rate_limit))
+        channel = inputs[each.name]
+        channel = channel._replace(values=np.clip(channel.values, -limit, limit))
+        found[each.name] = _ramp(channel, rate) if np.isfinite(rate) else channel
+    return found
 
 
 def _ramp(channel, rate):
@@ -319,12 +329,9 @@ _AT_STEP = 1e-6  # [steps] distance from a step within which a sample is taken a
 _MAX_STEPS = 1e7
 _MAX_KEPT = 2**22  # most numbers of the runs that are kept
 _MAX_PARTS = 16  # of a step, for friction that is steep
-# Residual of a run that fails, in standard deviations of the sensor, and in ranges of what it
-# measured, whichever is more: searches must not prefer it to a run that is far off.
-DIVERGED, _FAR_OFF = 1e3, 1e2
 
 
-class TimeIsUp(Exception):
+class TimeIsUp(KeyboardInterrupt):
     """A run was asked for after the `deadline` of its Problem."""
 
 
@@ -351,7 +358,7 @@ class Problem:
                                  f'{_MAX_STEPS:g} steps of {scene.step:g} s are fitted: cut it, '
                                  'if the unit of its times is right')
         self.scene, self.until = scene, until
-        self.record = limit_inputs(record, scene.values)
+        self.record = record
         self._sensors = {f'{name}.{kind}' for name in record.outputs for kind in SENSOR}
         self.free = free_parameters(names, bounds, scene, record)
         self._shown: dict[tuple[Any, ...], tuple[float, dict[str, np.ndarray]]] = {}
@@ -382,7 +389,7 @@ class Problem:
                 raise
             return self.scene.vary({**changes, 'integrator.step': self.scene.step / parts})
 
-    def run(self, values: Mapping[str, float], end: float | None = None,
+    def run(self, values: Mapping[str, float], end: float = math.inf,
             scene: Scene | None = None) -> Run:
         """
         Return the Run that predicts the record until `end` [s], with free values by name.
@@ -391,59 +398,48 @@ class Problem:
         DivergenceError if the run diverges, ParameterError if the values do not fit together.
         """
         if time.monotonic() > self.deadline:
-            raise TimeIsUp
+            raise TimeIsUp('its time was up')
         scene = scene or self.scene_of(values)
         scene = replace(scene, load=loads_of(self.record, scene, values))
-        duration = (self.record.duration if end is None else end) + max(
-            0.0, *(-values.get(f'{name}.delay', 0.0) for name in self.record.outputs))
+        duration = min(end, self.record.duration) + self._early(values)
         with warnings.catch_warnings():
             warnings.simplefilter('ignore', ModelWarning)
             return run_scene(scene, max(1, math.ceil(duration / scene.step - _AT_STEP)))
 
-    def predictions(self, run: Run, values: Mapping[str, float],
-                    end: float = math.inf) -> dict[str, tuple[np.ndarray, np.ndarray]]:
-        """Return what outputs should show at their samples until `end`: by name, times, values."""
-        t = self._times(end)
-        shown = _at_samples(run.scene.step, self._outputs_of(run), values, t)
-        return {name: (t[name], shown[name]) for name in t}
+    def _early(self, values):
+        """Return how long after the record a run must go on, since outputs show it early [s]."""
+        return max(0.0, *(-values.get(f'{name}.delay', 0.0) for name in self.record.outputs))
 
-    def _outputs_of(self, run):
-        return {name: OUTPUTS[name].of_run(run) for name in self.record.outputs}
-
-    def _times(self, end):
-        return {name: channel.t[channel.t <= end] for name, channel in self.record.outputs.items()}
-
-    def predicted(self, values: Mapping[str, float], end: float) -> dict[str, np.ndarray]:
+    def predicted(self, values: Mapping[str, float], end: float = math.inf,
+                  run: Any = None) -> dict[str, np.ndarray]:
         """
         Return what outputs should show at the samples until `end`; raises what `run` raises.
 
-        What some last runs show is kept, so that sensors with other values need no other run.
+        By default they are those of the `run` of these values.
         """
-        early = max(0.0, *(-values.get(f'{name}.delay', 0.0) for name in self.record.outputs))
-        key = end, early, *(each for each in values.items() if each[0] not in self._sensors)
-        if (kept := self._shown.pop(key, None)) is None:
-            run = self.run(values, end)
-            kept = run.scene.step, self._outputs_of(run)
-            while self._shown and (1 + len(self._shown)) * len(run.t) * len(kept[1]) > _MAX_KEPT:
+        step, shown = self._shown_by(values, end) if run is None else self._outputs_of(run)
+        return {name: _seen(step, shown[name], channel.t[channel.t <= end],
+                            *sensor_of(values, name)[:-1])
+                for name, channel in self.record.outputs.items()}
+
+    def _outputs_of(self, run):
+        """Return the step of a Run, and outputs at all steps by name."""
+        return run.scene.step, {name: OUTPUTS[name].of_run(run) for name in self.record.outputs}
+
+    def _shown_by(self, values, end):
+        """Return `_outputs_of` values; some are kept, which differ in those of sensors alone."""
+        key = end, self._early(values), *(
+            each for each in values.items() if each[0] not in self._sensors)
+        if key not in self._shown:
+            found = self._outputs_of(self.run(values, end))
+            size = sum(map(len, found[1].values()))
+            while self._shown and (1 + len(self._shown)) * size > _MAX_KEPT:
                 del self._shown[next(iter(self._shown))]
-        self._shown[key] = kept  # the last one used is the last one
-        return _at_samples(*kept, values, self._times(end))
+            self._shown[key] = found
+        return self._shown[key]
 
     def __getstate__(self):
         return {**vars(self), '_shown': {}}
-
-    def residuals(self, values: Mapping[str, float], deviations: Mapping[str, float],
-                  end: float) -> np.ndarray:
-        """Return the residuals until `end` in standard deviations; raises what `run` raises."""
-        predicted = self.predicted(values, end)
-        return np.concatenate([(predicted[name] - measured) / deviations[name]
-                               for name, measured in self.measurements(end).items()])
-
-    def residuals_of_none(self, deviations: Mapping[str, float], end: float) -> np.ndarray:
-        """Return large residuals until `end`, for a run that fails."""
-        return np.concatenate([
-            np.full(len(measured), max(DIVERGED, _FAR_OFF * np.ptp(measured) / deviations[name]))
-            for name, measured in self.measurements(end).items()])
 
     def measurements(self, end: float) -> dict[str, np.ndarray]:
         """Return the measured samples until `end`, by output."""
@@ -451,18 +447,13 @@ class Problem:
                 for name, channel in self.record.outputs.items()}
 
 
-def _at_samples(step, shown, values, t):
-    """Return what sensors with these values show of a run, at times by output."""
-    predicted = {}
-    for name, ideal in shown.items():
-        gain, bias, delay, lag = sensor_of(values, name)
-        seen = _with_lag(ideal, lag / step)
-        predicted[name] = gain * _interpolate(t[name] - delay, step, seen) + bias
-    return predicted
+def _seen(step, values, t, gain, bias, delay, lag):
+    """Return what a sensor shows at times, (n,), of a quantity at all steps of a run."""
+    return gain * _interpolate(t - delay, step, _with_lag(values, lag / step)) + bias
 
 
 def _with_lag(values, lag):
-    """Return what a first-order sensor shows; its time constant `lag` is in steps."""
+    """Return what follows values with a lag of first order, a time constant in steps."""
     if lag <= 0.0:
         return values
     # The filter is exact for straight lines between the samples, and begins at rest.
@@ -579,20 +570,19 @@ def _covariance_of_sums(columns, residuals):
 
 
 def unidentified_combinations(jacobian: np.ndarray, names: Sequence[str],
-                              doubtful: Collection[str],
-                              most: float = 1.0) -> list[dict[str, float]]:
+                              doubtful: Collection[str]) -> list[dict[str, float]]:
     """
     Return the combinations of parameters on which the residuals hardly depend.
 
     Each is a dictionary of the part of each parameter that matters in it, by name. `jacobian`,
     shape (n, p), is that of all residuals in standard deviations by coordinates of the fit;
-    `doubtful` names those that are not identified, of which a combination has one; `most` is half
-    of the 95 % interval of a combination from which on it counts as unknown.
+    `doubtful` names those that are not identified, of which a combination has one. One counts as
+    unknown if half of its 95 % interval is more than 1.
     """
     _, s, vt = np.linalg.svd(jacobian, full_matrices=False)
     found = []
     for value, parts in zip(s, vt):
-        if value * most < NORMAL or value < _ROUND_OFF * s[0]:
+        if value < NORMAL or value < _ROUND_OFF * s[0]:
             share = np.abs(parts) / np.abs(parts).max()
             least = [_MIN_PART_UNIDENTIFIED if name in doubtful else _MIN_PART for name in names]
             sign = np.sign(parts[np.argmax(np.abs(parts))])

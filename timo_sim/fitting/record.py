@@ -134,16 +134,16 @@ class Record:
     source: str = 'given arrays'
 
     @staticmethod
-    @checked(inputs=MAPPING, outputs=MAPPING, noise=MAPPING, source=TEXT)
+    @checked(inputs=MAPPING, outputs=MAPPING, source=TEXT)
     def of(inputs: Mapping[str, Any], outputs: Mapping[str, Any],
-           noise: Mapping[str, float] | None = None, source: str = 'given arrays') -> Record:
+           source: str = 'given arrays') -> Record:
         """
         Return a checked Record of arrays.
 
-        `inputs` and `outputs` have by quantity its times and values, two arrays of shape (n,), or
-        a Channel; samples that are not finite are left out. `noise` has standard deviations of
-        sensors, by quantity; by default they are fitted, too. `source` is for messages. Raises
-        ParameterError if a quantity is unknown, has too few samples, or times do not ascend.
+        `inputs` and `outputs` have by quantity its times and values, two arrays of shape (n,), and
+        the standard deviation of its sensor if it is known; or a Channel. Samples that are not
+        finite are left out. `source` is for messages. Raises ParameterError if a quantity is
+        unknown, has too few samples, or times do not ascend.
         """
         ins: dict[str, Channel] = {}
         outs: dict[str, Channel] = {}
@@ -155,13 +155,6 @@ class Record:
                                          f'{", ".join(known)}{did_you_mean(name, known)} '
                                          f'({source})')
                 kept[name] = _check_channel(name, channel, source, kind == 'output')
-        for name, deviation in (noise or {}).items():
-            least = _MIN_NOISE * np.abs(outs[name].values).max() if name in outs else 0.0
-            if name not in outs or not max(least, np.finfo(float).tiny) < deviation < _MAX_VALUE:
-                raise ParameterError(f'noise of {short(name, str)} must be > 0 and at least '
-                                     f'{_MIN_NOISE:g} of the largest value, of one of '
-                                     f'{", ".join(outs)}, got {short(deviation)} ({source})')
-            outs[name] = outs[name]._replace(noise=float(deviation))
         if not outs:
             raise ParameterError(f'a record must have an output, one of {", ".join(OUTPUTS)} '
                                  f'({source})')
@@ -249,6 +242,10 @@ def _check_channel(name, channel, source, is_output):
         raise ParameterError(f'times of {name} must ascend, got {t[late[0]]:.12g} s and then '
                              f'{t[late[0] + 1]:.12g} s ({source})')
     found = Channel(t, values, *more)
+    least = max(_MIN_NOISE * np.abs(values).max(), np.finfo(float).tiny)
+    if found.noise is not None and not least < found.noise < _MAX_VALUE:
+        raise ParameterError(f'noise of {name} must be > 0 and at least {_MIN_NOISE:g} of the '
+                             f'largest value, got {short(found.noise)} ({source})')
     if found.hold not in HOLDS:
         raise ParameterError(f'hold of {name} must be one of {", ".join(HOLDS)}, got '
                              f'{short(found.hold)} ({source})')

@@ -9,7 +9,7 @@ from collections.abc import Mapping, Sequence
 from dataclasses import dataclass, field
 import math
 import time
-from typing import Any, TYPE_CHECKING
+from typing import Any, cast, TYPE_CHECKING
 import warnings
 
 import numpy as np
@@ -100,11 +100,11 @@ def response_of(mapping: Mapping[str, Any], table: Any, source: str) -> Response
 class ResponseProblem(Problem):
     """A Problem whose record is a Response; its runs are linear models about the first motion."""
 
-    def run(self, values: Mapping[str, float], end: float | None = None,
+    def run(self, values: Mapping[str, float], end: float = math.inf,
             scene: Any = None) -> Any:
         """Return the LinearModel of input and outputs."""
         if time.monotonic() > self.deadline:
-            raise TimeIsUp
+            raise TimeIsUp('its time was up')
         cause, = self.record.inputs
         with warnings.catch_warnings():
             warnings.simplefilter('ignore', ModelWarning)
@@ -112,27 +112,21 @@ class ResponseProblem(Problem):
                 [with_unit(cause, INPUT_UNITS[cause])],
                 [with_unit(name, unit_of(name)) for name in self.record.outputs])
 
-    def predictions(self, run: Any, values: Mapping[str, float],
-                    end: float = math.inf) -> dict[str, tuple[np.ndarray, np.ndarray]]:
-        """Return as those of a Problem what outputs should show."""
-        found: dict[str, tuple[np.ndarray, np.ndarray]] = {}
-        record: Any = self.record
+    def predicted(self, values: Mapping[str, float], end: float = math.inf,
+                  run: Any = None) -> dict[str, np.ndarray]:
+        """Return what outputs should show until `end` [Hz]; raises what `run` raises."""
+        run, record, found = run or self.run(values), cast(Response, self.record), {}
         cause, = record.inputs
         for k, (name, channel) in enumerate(record.outputs.items()):
             t, measured = channel.t[channel.t <= end], channel.values[channel.t <= end]
             s = 2j * np.pi * t[::2]
             response = run.frequency_response(t[::2])[:, k, 0]
-            for gain, _, delay, lag in (sensor_of(values, each) for each in (cause, name)):
+            for gain, _, delay, lag, _ in (sensor_of(values, each) for each in (cause, name)):
                 response = gain * np.exp(-delay * s) / (1.0 + lag * s) * response
             apart = np.log(response / record.response(name, measured))  # of phases within pi
-            found[name] = t, measured + np.repeat(record.weights[name][:len(s)], 2) * np.stack(
+            found[name] = measured + np.repeat(record.weights[name][:len(s)], 2) * np.stack(
                 [apart.real, apart.imag], -1).ravel()
         return found
-
-    def predicted(self, values: Mapping[str, float], end: float) -> dict[str, np.ndarray]:
-        """Return what outputs should show until `end` [Hz]; raises what `run` raises."""
-        return {name: found for name, (_, found) in self.predictions(
-            self.run(values), values, end).items()}
 
 
 def problem_of(scene: Scene, record: Record, names: Sequence[str],

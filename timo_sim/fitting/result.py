@@ -22,11 +22,10 @@ from timo_sim.fitting.mapping import is_mapping, read_record
 from timo_sim.fitting.objective import LOSSES, Objective
 from timo_sim.fitting.record import Record, unit_of
 from timo_sim.fitting.problem import (
-    covariance, names_for, NORMAL, r_squared, split_guess, TimeIsUp,
-    unidentified_combinations, whiteness)
+    covariance, names_for, NORMAL, r_squared, split_guess, unidentified_combinations, whiteness)
 from timo_sim.fitting.posterior import Posterior, Samples
 from timo_sim.fitting.response import draw_responses, problem_of, Response
-from timo_sim.fitting.search import NUMERICAL, reason_of, Search
+from timo_sim.fitting.search import INTERRUPTED, NUMERICAL, Search
 from timo_sim.fitting.suspects import name_suspects, Suspect, suspects
 from timo_sim.fitting.table import SUFFIXES
 from timo_sim.runs.run import Run
@@ -49,13 +48,10 @@ _NARROWED = 0.5  # part of the width of a guess that a record leaves, above whic
 _MANY = 5.0  # ratio of residuals to noise, above which no interval holds
 _WORSE, _POOR = 3.0, 0.9  # ratio of errors held out and fitted, and R^2, that are warned of
 _FAR = 10.0  # ratio of an estimate to its first guess, above which there is a warning
-_RUNS = 30  # runs of a fit for each free parameter, in round figures
+_RUNS, _RUNS_AFTER = 30, 6  # of a fit, and after its search, for each free parameter, roughly
+_KEPT = 0.5  # most of the time of a fit that is kept for these
 _FOR_EFFECTS = 0.6  # part of the time of a fit in which effects are tried
-_LONG = 60.0  # time of a fit, above which a remedy is told [s]
 _MAX_NUMERICAL = 0.2  # part of a residual that may be numerical error
-# Runs that follow a search for each free parameter and for all, and the most of the time of a fit
-# that is kept for these.
-_RUNS_OF_DERIVATIVES, _RUNS_AFTER, _KEPT = 4, 8, 0.5
 
 
 @dataclass(frozen=True)
@@ -93,8 +89,7 @@ class Errors:
     r_squared: float
     hold_out_rms: float         # NaN without a part that is held out
     hold_out_r_squared: float
-    residual_rms: float         # of the fit itself
-    whiteness: float            # probability that white residuals of it are as correlated
+    whiteness: float            # probability that white residuals of the fit are as correlated
 
 
 @dataclass(frozen=True, repr=False)
@@ -270,7 +265,7 @@ class Fit(Prediction):
     def misfit(self) -> float:
         """The largest ratio of residuals to the noise of an output, if these are not white."""
         return 0.0 if self.white else max(
-            each.residual_rms / (channel.noise or noise_of(channel) or math.inf)
+            each.rms / (channel.noise or noise_of(channel) or math.inf)
             for part in (self, *self.more) if part.until for each, channel in zip(
                 part.errors.values(), part.record.outputs.values()))
 
@@ -351,10 +346,10 @@ def fit(scene: SceneLike | None, record: RecordLike | Sequence[RecordLike],
     free : sequence of str
         Names of parameters of the scene that are numbers, with [k] for an element of a list;
         QUANTITY.gain, .bias, .delay or .lag of an input or output of the record, such as
-        shaft.bias; or `initial` for the whole initial state. NAME=VALUE gives a first guess, by
-        default that of the scene; NAME~WIDTH and NAME=VALUE~WIDTH its standard deviation: 5%, x3
-        (a factor), a number, or inf, which is no guess but a place to begin. ~WIDTH alone is that
-        of all which have none; else it is a usual one, see doc/fit.md.
+        shaft.bias, or .dead_zone of an input; or `initial` for the whole initial state. NAME=VALUE
+        gives a first guess, by default that of the scene; NAME~WIDTH and NAME=VALUE~WIDTH its
+        standard deviation: 5%, x3 (a factor), a number, or inf, which is no guess but a place to
+        begin. ~WIDTH alone is that of all which have none; else it is a usual one, see doc/fit.md.
     bounds : dict, optional
         (low, high) by name, within the parameter's own rule.
     hold_out : float
@@ -443,8 +438,9 @@ def fit(scene: SceneLike | None, record: RecordLike | Sequence[RecordLike],
             for k, (problem, (*_, told)) in enumerate(zip(objective.problems, begins))
             for line in (*told, *look(problem, objective.values(objective.start, k)))]
     if tell or time:
-        run, columns = _measure(objective)
-        say(_expect(run, columns, quick))
+        run, count = _measure(objective), len(objective.free)
+        say(f'a run of the records takes {run:.2g} s, a fit of {count} parameters from one start '
+            f'some {_RUNS * count * run:.2g} s, or ten times that if the model lacks something')
         say('\n  '.join(['before the search:', *seen]))
     choice, first = None, {}
     if auto:
@@ -454,10 +450,9 @@ def fit(scene: SceneLike | None, record: RecordLike | Sequence[RecordLike],
         objective = objective_of(start, free)
     others = [_held_out(start, each, free, measured, objective) for each in held]
     search = Search(objective, say, first)
-    search.interrupted = choice is not None and isinstance(choice.stopped, KeyboardInterrupt)
-    if tell or time:
-        search.set_deadline(end - min(_KEPT * (end - begun), run * (
-            _RUNS_OF_DERIVATIVES * columns + _RUNS_AFTER)))
+    search.interrupted = choice is not None and choice.interrupted
+    if time:
+        search.set_deadline(end - min(_KEPT * time, run * _RUNS_AFTER * count))
     search.run(starts)
     phases = _Phases(search, say)
     search.set_deadline(end)
@@ -467,7 +462,12 @@ def fit(scene: SceneLike | None, record: RecordLike | Sequence[RecordLike],
     phases.doubts += _find_doubts(estimates, objective.problems[0], objective.values(search.x, 0))
     search.set_deadline(math.inf)
     say('one run of each record, and one with more modes and half the step')
-    predictions = _predict_all(search, others, phases)
+    shared = {free.name: free.value(at) for free, at in zip(objective.free, search.x)}
+    every = [(problem, objective.values(search.x, k)) for k, problem in enumerate(
+        objective.problems)] + [(problem, {each.name: shared[each.name] for each in problem.free})
+                                for problem in others]
+    predictions = [_predict(problem, values, phases, f' (record {k})' * (len(every) > 1))
+                   for k, (problem, values) in enumerate(every, 1)]
     search.set_deadline(end)
     likely = []
     if intervals.posterior and not quick and not intervals.white and not any(
@@ -486,7 +486,8 @@ def fit(scene: SceneLike | None, record: RecordLike | Sequence[RecordLike],
         estimates=estimates, correlation=intervals.correlation,
         unidentified=intervals.unidentified(estimates), white=intervals.white,
         warnings=phases.doubts, seconds=seconds, starts=search.tried, others=search.others,
-        more=more, posterior=intervals.posterior, suspects=likely, stopped=search.stopped,
+        more=more, posterior=intervals.posterior, stopped=search.stopped,
+        suspects=[each._replace(effect=None) for each in likely],
         look=seen, ladder=choice.ladder if choice else [])
     if phases.doubts:
         warn('; '.join(phases.doubts))
@@ -571,25 +572,6 @@ def _find_intervals(search, phases, quick):
     return _Intervals(posterior, white, spread, identified, profiles)
 
 
-def _predict_all(search, others, phases):
-    """Return the Predictions of the records of a search, and of other problems."""
-    objective, x = search.objective, search.x
-    residuals = {(k, name): objective.deviations[k][name] * r for (k, name, _), r in zip(
-        objective.series(), objective.split(objective.residuals(x)))}
-    shared = {free.name: free.value(at) for free, at in zip(objective.free, x)
-              if not free.is_own}
-    predictions, problems = [], [*objective.problems, *others]
-    for k, problem in enumerate(problems):
-        values = objective.values(x, k) if k < len(objective.problems) else {
-            free.name: shared[free.name] for free in problem.free}
-        own = {name: residuals.get((k, name), np.empty(0)) for name in problem.record.outputs}
-        prediction, told = _predict(problem, values, own, phases)
-        predictions.append(prediction)
-        phases.doubts += [f'{each} (record {k + 1})' if len(problems) > 1 else each
-                          for each in told]
-    return predictions
-
-
 class _Phases:
     """What follows a search, in phases that may fail or be stopped without loss of the others."""
 
@@ -607,8 +589,8 @@ class _Phases:
                 if text:
                     self._say(text)
                 return function()
-            except (KeyboardInterrupt, TimeIsUp) as stop:
-                self._over, reason = True, reason_of(stop)
+            except KeyboardInterrupt as stop:
+                self._over, reason = True, str(stop) or INTERRUPTED
             except (ArithmeticError, ValueError) as error:  # of parameters, of linear algebra
                 reason = str(error)
         self.doubts.append(f'{what} not known: {reason}')
@@ -616,22 +598,11 @@ class _Phases:
 
 
 def _measure(objective):
-    """Return how long a run of the records takes [s], and how many parameters it has."""
+    """Return how long a run of the records takes [s]."""
     begun = monotonic()
     for k, problem in enumerate(objective.problems):
         problem.run(objective.values(objective.start, k), problem.until)
-    return monotonic() - begun, max(len(each.free) for each in objective.problems)
-
-
-def _expect(run, columns, quick):
-    """Return a text of how long a fit may take, if a run of the records takes `run` [s]."""
-    seconds = _RUNS * columns * run
-    text = (f'a run of the records takes {run:.2g} s, a fit of {columns} parameters from one '
-            f'start some {seconds:.2g} s, or ten times that if the model lacks something'
-            + ('' if quick else '; what follows the search may take as long again'))
-    if seconds > _LONG:
-        text += '; for less, fit fewer parameters to a part of the record, with fewer modes'
-    return text
+    return monotonic() - begun
 
 
 RecordLike = Record | str | Path
@@ -668,52 +639,46 @@ def _read(scene, record, mapping):
     return read_log(record, None if scene is None else load_scene(scene))
 
 
-def _predict(problem, values, residuals, phases):
-    """Return the Prediction of a problem with these values, and what is doubtful of it."""
-    doubts, predicted, errors = [], {}, {}
+def _predict(problem, values, phases, place):
+    """Return the Prediction of a problem, one of several in a `place`, with these values."""
+    errors = {}
 
     def run_all(refined=lambda scene: scene):
         run = problem.run(values, scene=refined(problem.scene_of(values)))
-        return run, {name: found for name, (_, found) in problem.predictions(run, values).items()}
+        return run, problem.predicted(values, run=run)
 
     run, predicted = phases.attempt('one run of the whole record is', run_all, (None, {}),
                                     needed=True)
+    _, again = (None, {}) if run is None else phases.attempt(
+        'the numerical error is', lambda: run_all(lambda scene: refine(
+            scene, 2, None, 0, same_equations=True)), (None, {}))
     for name, channel in problem.record.outputs.items():
-        parts = []
+        parts, own = [], np.full(len(channel.t), math.nan)
+        own = predicted[name] - channel.values if predicted else own
         for part in (channel.t <= problem.until, channel.t > problem.until):
-            enough = part.sum() >= _MIN_SAMPLES and name in predicted
             measured = channel.values[part]
-            parts += [float(np.sqrt(np.mean((predicted[name][part] - measured)**2))),
-                      r_squared(measured, predicted[name][part])] if enough else [math.nan] * 2
-        own = residuals[name]
-        errors[name] = Errors(
-            rms=parts[0], r_squared=parts[1], hold_out_rms=parts[2], hold_out_r_squared=parts[3],
-            residual_rms=math.sqrt(np.mean(own**2)) if len(own) else math.nan,
-            whiteness=whiteness(own) if len(own) > 4 else math.nan)
-        if channel.noise and errors[name].residual_rms > _MAX_NOISE_RATIO * channel.noise:
-            doubts.append(
-                f'{name} is off by {errors[name].residual_rms / channel.noise:.1f} times its '
-                'noise: the model lacks something, or this is not the best minimum: try other '
-                'first guesses')
-        if parts[2] > _WORSE * parts[0] and parts[3] < _POOR:
-            doubts.append(
-                f'what was held out of {name} is {parts[2] / parts[0]:.2g} times as far off as '
-                f'what was fitted (R^2 {parts[3]:.3f}): this scene fits the record, and does not '
-                'predict another: hold fewer parameters free, or fit a record of more motion')
-    found = Prediction(problem.record, errors, run, predicted, problem.until)
-    if run is None:
-        return found, doubts
-    _, again = phases.attempt('the numerical error is', lambda: run_all(lambda scene: refine(
-        scene, 2, None, 0, same_equations=True)), (None, {}))
-    for name, finer in again.items():
-        apart = float(np.sqrt(np.mean((finer - predicted[name])**2)))
-        rms = errors[name].rms if problem.until else errors[name].hold_out_rms
-        if apart > _MAX_NUMERICAL * rms:
-            doubts.append(
+            parts += [float(np.sqrt(np.mean(own[part]**2))), r_squared(
+                measured, measured + own[part])] if part.sum() >= _MIN_SAMPLES else [math.nan] * 2
+        rms, fit, late, predicts = parts
+        errors[name] = Errors(rms, fit, late, predicts, math.nan if math.isnan(rms) else whiteness(
+            own[channel.t <= problem.until]))
+        if channel.noise and rms > _MAX_NOISE_RATIO * channel.noise:
+            phases.doubts.append(
+                f'{name} is off by {rms / channel.noise:.1f} times its noise: the model lacks '
+                f'something, or this is not the best minimum: try other first guesses{place}')
+        if late > _WORSE * rms and predicts < _POOR:
+            phases.doubts.append(
+                f'what was held out of {name} is {late / rms:.2g} times as far off as what was '
+                f'fitted (R^2 {predicts:.3f}): this scene fits the record, and does not predict '
+                f'another: hold fewer parameters free, or fit a record of more motion{place}')
+        apart = float(np.sqrt(np.mean((again[name] - predicted[name])**2))) if again else 0.0
+        most = rms if problem.until else late
+        if apart > _MAX_NUMERICAL * most:
+            phases.doubts.append(
                 f'{name} differs by {apart:.2g} from that of a run with more modes and half the '
-                f'step, a large part of its error of {rms:.2g}: take more model.modes or a '
-                'smaller integrator.step')
-    return found, doubts
+                f'step, a large part of its error of {most:.2g}: take more model.modes or a '
+                f'smaller integrator.step{place}')
+    return Prediction(problem.record, errors, run, predicted, problem.until)
 
 
 def _find_doubts(estimates, problem, values):
@@ -721,8 +686,8 @@ def _find_doubts(estimates, problem, values):
         ' (not identified)' if name in estimates and not estimates[name].identified else '')
         for name, value in values.items() if name.rpartition('.')[0] in problem.record.inputs)
     if inputs:
-        yield (f'the fitted scene does not hold {inputs}: multiply an input by its gain, add its '
-               'bias and delay it before you give it to the scene')
+        yield (f'the fitted scene does not hold {inputs}: take its dead zone off an input, '
+               'multiply it by its gain, add its bias and delay it before it goes to the scene')
     at_bound = [name for name, each in estimates.items() if each.bound]
     if at_bound:
         yield f'at a bound, so that intervals do not hold: {", ".join(at_bound)}'
@@ -731,9 +696,6 @@ def _find_doubts(estimates, problem, values):
     if far:
         yield (f'{", ".join(far)}: more than {_FAR:g} times off the first guess: unless that was '
                'rough, look at unit and scale of the columns')
-    if all(math.isclose(values.get(name, math.nan), each.start, rel_tol=1e-12)
-           for name, each in estimates.items()):
-        yield 'the search did not leave the first guesses: try others, or more starts'
     lost = [name for name, each in estimates.items() if math.isnan(each.value)]
     if lost:
         yield (f'{", ".join(lost)} cannot be identified from this record: fix some of them, or '

@@ -50,6 +50,7 @@ _MAX_UNEXPLAINED = 0.05, 0.2, 0.5, math.inf
 _MAX_STARTS, _FEW_STARTS = 16, 4
 _NEAR = 0.1  # distance in coordinates of the fit within which two ends are one
 _SPREAD = 6.0  # factor by which starts differ from what the record suggests
+INTERRUPTED = 'it was interrupted'
 
 
 class Minimum(NamedTuple):
@@ -78,9 +79,6 @@ class Search:
         self.stopped, self.interrupted = '', False
         self._best = math.inf, self.first  # of all runs: `Objective.unlikelihood`, and x
 
-    def __getstate__(self):
-        return {**vars(self), '_tell': None}  # a copy, as that of a Fit, searches no more
-
     def run(self, starts: int | None) -> None:
         """
         Find x and the standard deviations of the sensors; `starts` is as for `fit`.
@@ -95,8 +93,9 @@ class Search:
             if not objective.evaluate(self.x)[1]:
                 return
             self.stopped = 'it ended where no run is possible'
-        except (KeyboardInterrupt, TimeIsUp) as stop:
-            self.stopped, self.interrupted = reason_of(stop), isinstance(stop, KeyboardInterrupt)
+        except KeyboardInterrupt as stop:
+            self.stopped = str(stop) or INTERRUPTED
+            self.interrupted = not isinstance(stop, TimeIsUp)
         except (ArithmeticError, ValueError) as error:  # of parameters, or of linear algebra
             if math.isinf(self._best[0]):
                 raise
@@ -279,8 +278,3 @@ class Search:
         jacobian[:, rough & (other < size)] = wide[:, rough & (other < size)]
         return (objective.weights(objective.residuals(x))[:, np.newaxis] * jacobian,
                 [free.name for free, jumps in zip(objective.free, rough) if jumps])
-
-
-def reason_of(stop: BaseException) -> str:
-    """Return what ended a search or what follows it, a KeyboardInterrupt or TimeIsUp, as text."""
-    return 'its time was up' if isinstance(stop, TimeIsUp) else 'it was interrupted'

@@ -112,12 +112,12 @@ class _ArmOnShaft:
         run, terms = self._run(tuple(
             (name, value) for name, value in values.items() if not self.driven or not (
                 name.startswith(('motor.', 'initial.')) or name.rpartition('.')[2] in SENSOR)))
-        predicted = self._seen.predictions(run, values, self._seen.until)
+        predicted = self._seen.predicted(values, self._seen.until, run)
         scene = self._free.scene_of(values)
         applied = loads_of(self._free.record, scene, values).stages(
             0, len(run.t) - 1, run.scene.step)[::_EVERY, AFTER, TORQUE]
         applied = applied - scene.manipulator.excess(applied, terms[2])
-        pairs = [(each, predicted[name][1]) for name, each in self._measured.items()]
+        pairs = [(each, predicted[name]) for name, each in self._measured.items()]
         return pairs, applied, terms
 
     def misfit(self, values: Mapping[str, float]) -> float:

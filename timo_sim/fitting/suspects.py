@@ -16,18 +16,16 @@ from __future__ import annotations
 
 from collections.abc import Callable, Iterator, Mapping, Sequence
 from copy import copy
-from functools import lru_cache, partial
 import math
 from typing import Any, NamedTuple
 
 import numpy as np
 from scipy.optimize import least_squares
-from scipy.signal import lfilter
+from scipy.signal import bilinear, lfilter
 
-from timo_sim.fitting.objective import Objective
-from timo_sim.fitting.problem import DIVERGED, limit_inputs
+from timo_sim.fitting.objective import DIVERGED, Objective
+from timo_sim.fitting.problem import kinds_of
 from timo_sim.fitting.record import DRIVE
-from timo_sim.model.differences import differences
 from timo_sim.model.layout import INPUTS
 from timo_sim.runs.modes import frequencies_in_motion
 from timo_sim.scene.numbers import initial_scale
@@ -48,12 +46,43 @@ _RESONANCES, _DAMPING = 60, 0.02  # how many frequencies are tried, and their da
 _INNER = 2.0 / 3.0  # part of what is fitted to which suspects are fitted; the rest judges them
 BETTER = 0.9  # ratio of errors there, below which a suspect predicts better
 _FINE = 1e-3  # error, of the spread of an output, below which others count for more
-_WORTHWHILE = 0.5  # share, relative to the largest, from which on an effect is fitted
+_WORTHWHILE, _BENT = 0.5, 0.2  # share, of the largest, above which effects are fitted
 _STEP, _TOLERANCE, _MAX_RUNS = 1e-3, 1e-3, 25  # of these fits, as of `least_squares`
+_STRETCHED, _CLAMP, _DEAD = (0.1, 1.0), (0.1, 0.5), (0.02, 0.1)  # of usual sizes
 _GEAR = 'motor.rotor.inertia', 'motor.gear.stiffness', 'motor.gear.damping'
 _MOVING = 'initial.modal_coordinates[0]', 'initial.modal_rates[0]'
 _TILTED = 'gravity[0]', 'gravity[1]'
+_SPRING = 'motor.spring.stiffness', 'motor.spring.rest'
 _ALIKE = 1.5  # ratio of what suspects leave to what the first leaves, up to which they are named
+
+
+class _Effect(NamedTuple):
+    """
+    An effect to try; `change(values, *sizes, *shape)` returns what differs in the scene.
+
+    By default sizes and shape are the values of what is `free`.
+    """
+
+    name: str
+    free: Sequence[str]     # what a fit with it has besides
+    trials: Sequence[Sequence[float]]   # sizes that are tried; each of them alone moves a run
+    low: float = 0.0    # least factor of sizes: 0, -inf for both signs, 1 for all or nothing
+    change: Callable[..., dict[str, Any]] | None = None
+    shape: Sequence[float] = ()     # further arguments, which are fitted with the sizes
+    bends: bool = False             # whether its first order tells little
+
+    def changes(self, values: Mapping[str, Any], *sizes: float) -> dict[str, Any]:
+        """Return what differs in a scene with these values."""
+        return self.change(values, *sizes) if self.change else dict(zip(self.free, sizes))
+
+    def advice(self, own: Mapping[str, Any], sizes: Sequence[float]) -> str:
+        """Return what to give to a fit of a scene with values of its `own`."""
+        new = {name: f'{name}={value:.2g}' for name, value in self.changes(own, *sizes).items()
+               if value != own.get(name)}
+        fixed = [text for name, text in new.items()
+                 if name not in self.free or own.get(name) == math.inf]
+        return ' and '.join([f'set {" ".join(fixed)}'] * bool(fixed) + [
+            'free ' + ','.join(new.get(name, name) for name in self.free)] * bool(self.free))
 
 
 class Suspect(NamedTuple):
@@ -63,42 +92,8 @@ class Suspect(NamedTuple):
     share: float   # of the squares of the residuals that it explains, or predicts if it was fitted
     advice: str
     ratio: float = math.inf  # of errors with it and without, see `predict`, if it was fitted
-    change: Callable[..., dict[str, Any]] | None = None  # of the scene, by its values
-    free: Sequence[str] = ()   # what it makes free
-
-
-class _Effect(NamedTuple):
-    """An effect to try; `change(values, *sizes, *shape)` returns what differs in the scene."""
-
-    name: str
-    advice: str     # with a place for the first size
-    change: Callable[..., dict[str, Any]]
-    trials: Sequence[Sequence[float]]   # sizes that are tried; each of them alone moves a run
-    low: float = 0.0    # least factor of sizes: 0, -inf for both signs, 1 for all or nothing
-    shape: Sequence[float] = ()     # further arguments, which are fitted with the sizes
-    free: Sequence[str] = ()        # names that a fit with it has besides
-    bends: bool = False             # whether its first order tells little
-
-
-def _values(objective, x):
-    """Return the values of the scene of each record, and of its sensors."""
-    return [{**problem.scene.values, **objective.values(x, k)}
-            for k, problem in enumerate(objective.problems)]
-
-
-def _with_effect(objective, x, effect, arguments):
-    """Return an objective whose scenes have an effect, with these arguments."""
-    def change(values):
-        return effect.change(values, *arguments)
-
-    problems = []
-    for problem, values in zip(objective.problems, _values(objective, x)):
-        problem = copy(problem)
-        problem.record = limit_inputs(problem.record, {
-            **values, **change(values),
-            **{each.rate_limit: np.inf for each in INPUTS}})  # rates are limited already
-        problems.append(problem)
-    return objective.of_changed(problems, change)
+    effect: _Effect | None = None
+    sizes: Sequence[float] = ()  # of the effect
 
 
 def suspects(objective: Objective, x: np.ndarray, jacobian: np.ndarray,
@@ -109,6 +104,7 @@ def suspects(objective: Objective, x: np.ndarray, jacobian: np.ndarray,
     `jacobian`, (n, p), and `residuals`, (n,), are weighted ones there. The likely ones, or as many
     as `most`, are fitted; `error` is that without them, see `predict`, if it is known.
     """
+    problem = objective.problems[0]
     if np.any(np.abs(here := objective.residuals(x)) >= DIVERGED):
         return []
     (free, _), root = np.linalg.qr(jacobian), objective.weights(here)
@@ -125,14 +121,6 @@ def suspects(objective: Objective, x: np.ndarray, jacobian: np.ndarray,
         return (0.0 if low >= 0.0 and factors[0] < 0.0
                 else float(1.0 - (rest @ rest) / (left @ left))), factors
 
-    def without(effect, sizes):
-        """Return the residuals with nothing of an effect, for which mostly no run is needed."""
-        nothing = 0.0 * sizes
-        if all(values.get(name, 0.0) == value for values in _values(objective, x)
-               for name, value in effect.change(values, *nothing).items()):
-            return here
-        return _with_effect(objective, x, effect, nothing).residuals(x)
-
     share, frequency = max(((explain(columns)[0], frequency) for frequency, columns
                             in _resonances(objective, x)), default=(0.0, 0.0))
     found = [Suspect(
@@ -141,32 +129,31 @@ def suspects(objective: Objective, x: np.ndarray, jacobian: np.ndarray,
     tried: list[Any] = []
     for effect in _effects(objective, x):
         of_trials = []
-        for sizes in map(np.array, effect.trials):
-            runs = [without(effect, sizes), *(_with_effect(objective, x, effect, each).residuals(x)
-                                              for each in np.diag(sizes))]
+        for sizes in np.array(effect.trials):
+            having = objective.with_effect(effect.changes, np.append(sizes, effect.shape))
+            runs = [having.residuals(np.append(x, [*each, *np.ones(len(effect.shape))]))
+                    for each in np.eye(len(sizes))]
             if all(np.all(np.abs(run) < DIVERGED) for run in runs):
-                share, factors = explain([run - runs[0] for run in runs[1:]], effect.low)
+                share, factors = explain([run - here for run in runs], effect.low)
                 of_trials.append((share, effect, np.append(
                     np.maximum(factors, effect.low) * sizes, effect.shape)))
         tried += sorted(of_trials, key=lambda each: -each[0])[:1]
     tried.sort(key=lambda each: -each[0])
+    own = {**problem.scene.values, **objective.values(x, 0)}
     for rank, (share, effect, sizes) in enumerate(tried):
         # What is all or nothing has no first order. Tilted planes explain a little of anything.
-        worth = (rank < most or effect.bends) and effect.free[:1] != _TILTED[:1] if most else (
-            share > _WORTHWHILE * max(tried[0][0], found[0].share) or effect.low == 1.0)
-        suspect = Suspect(effect.name, share, '', free=effect.free)
+        worth = (rank < most or effect.bends) and effect.free != _TILTED if most else (
+            share > (_BENT if effect.bends else _WORTHWHILE) * max(
+                tried[0][0], found[0].share) or effect.low == 1.0)
+        ratio = math.inf
         if worth:
             error = error or predict(objective, x)[0]
             with_it, sizes = predict(objective, x, effect, sizes)
-            suspect = suspect._replace(
-                share=max(0.0, 1.0 - (with_it / error)**2), ratio=with_it / error,
-                change=partial(_change, effect.change, sizes))
-        found.append(suspect._replace(advice=effect.advice.format(sizes[0])))
+            ratio = with_it / error
+            share = max(0.0, 1.0 - ratio**2)
+        found.append(Suspect(
+            effect.name, share, effect.advice(own, sizes), ratio, effect, sizes))
     return sorted((each for each in found if each.share), key=lambda each: -each.share)
-
-
-def _change(change, sizes, values):
-    return change(values, *sizes)
 
 
 def predict(objective: Objective, x: np.ndarray, effect: _Effect | None = None,
@@ -176,43 +163,22 @@ def predict(objective: Objective, x: np.ndarray, effect: _Effect | None = None,
 
     It is the geometric mean of rms errors of outputs, each over its spread.
     """
-    part, terms = copy(objective), []
+    whole, terms, sizes = objective, [], np.asarray(sizes, dtype=float)
+    if effect:
+        low = np.where(np.arange(len(sizes)) < len(effect.trials[0]), effect.low, 0.0)
+        high = np.where(low == 1.0, 1.0 + 1e-6, np.inf)  # what is all or nothing stays
+        whole = objective.with_effect(effect.changes, sizes, low, high)
+    part = copy(whole)
     part.ends = [_INNER * end for end in objective.ends]
-    x, fitted = _fit(part, x, effect, sizes)
-    whole = _with_effect(objective, x, effect, fitted) if effect else objective
+    x = least_squares(
+        part.residuals, part.within(np.append(x, np.ones(len(sizes)))),
+        lambda x: part.jacobian(x, _STEP, False), (part.low, part.high), x_scale='jac',
+        loss=part.loss, ftol=_TOLERANCE, max_nfev=_MAX_RUNS).x
     for (k, name, measured), rows in zip(objective.series(), whole.split(whole.residuals(x))):
         late = objective.problems[k].record.outputs[name].t[:len(rows)] > part.ends[k]
         size = (objective.deviations[k][name] / (np.std(measured) or 1.0))**2
         terms.append(np.log(np.mean(rows[late]**2) * size + _FINE**2))
-    return float(np.exp(0.5 * np.mean(terms))), fitted
-
-
-def _fit(objective, x, effect, sizes):
-    """Return x and the arguments of an effect, or of none, of a fit with it."""
-    count, first = len(x), np.asarray(sizes)
-    start = np.ones(len(first) * (effect is not None and effect.low < 1.0))  # their factors
-
-    @lru_cache(maxsize=1)
-    def changed(*factors):
-        return objective if effect is None else _with_effect(
-            objective, x, effect, np.array(factors) * first if factors else first)
-
-    def residuals(z):
-        return changed(*z[count:]).residuals(z[:count])
-
-    def jacobian(z):
-        by_x = changed(*z[count:]).jacobian(z[:count], _STEP, False)
-        return np.hstack([by_x, differences(lambda shifts: np.array([
-            residuals(np.append(z[:count], z[count:] + shift)) for shift in shifts]),
-            _STEP * start, 1).slope])
-
-    low = np.zeros(len(start))
-    low[:len(start) - len(effect.shape if effect else ())] = effect.low if effect else 0.0
-    z = least_squares(
-        residuals, np.append(x, start), jacobian,
-        (np.append(objective.low, low), np.append(objective.high, np.inf * start)),
-        x_scale='jac', loss=objective.loss, ftol=_TOLERANCE, max_nfev=_MAX_RUNS).x
-    return z[:count], z[count:] * first if len(start) else first
+    return float(np.exp(0.5 * np.mean(terms))), x[len(objective.free):] * sizes
 
 
 def name_suspects(found: list[Suspect]) -> Iterator[str]:
@@ -239,78 +205,72 @@ def _effects(objective: Objective, x: np.ndarray) -> Iterator[_Effect]:
                                ('motor', forces[2], speeds[2])):
         name, rest = f'{body}.coulomb_friction', f'{body}.coulomb_speed'
         if force and not own[name]:
-            yield _Effect(
-                f'dry friction of the {body}', f'set {name} to about {{:.2g}}, and free it',
-                lambda _, size, name=name: {name: size}, [[part * force] for part in _FRICTION],
-                free=[name])
+            yield _Effect(f'dry friction of the {body}', [name],
+                          [[part * force] for part in _FRICTION])
         elif force and rest not in values:
             yield _Effect(
-                f'another friction of the {body} near rest', f'set {rest}, and free it',
-                lambda own, size, name=rest: {
-                    name: own[name] * np.exp(np.clip(size, *_FACTORS)) or size},
+                f'another friction of the {body} near rest', [rest],
                 [[1.0]] if own[rest] else [[part * speed] for part in _REST],
-                both if own[rest] else 0.0, free=[rest])
+                both if own[rest] else 0.0, lambda own, size, name=rest: {
+                    name: own[name] * np.exp(np.clip(size, *_FACTORS)) or size})
         if own[name] and own[rest] and not own[way := f'{body}.coulomb_presliding']:
             yield _Effect(
-                name=f'presliding of the {body}, which rests as on a spring',
-                advice=f'set {way} to about {{:.2g}} and {body}.coulomb_static to 0.5, and free '
-                       'both', change=lambda _, size, part=0.5, name=way: {
-                           name: size, name.replace('presliding', 'static'): part} if size else {},
-                trials=[[part * own[rest]] for part in _PRESLIDING], low=_LEAST, shape=[0.5],
-                free=[way, f'{body}.coulomb_static'], bends=True)
+                f'presliding of the {body}, which rests as on a spring',
+                [way, f'{body}.coulomb_static'], [[part * own[rest]] for part in _PRESLIDING],
+                _LEAST, shape=[0.5], bends=True)
     for name in (name for name in PARAMETERS if name.endswith('.coulomb_asymmetry')):
         if own[name.replace('asymmetry', 'friction')] and not own[name]:
-            yield _Effect('friction that depends on the direction',
-                          f'set {name}, and free it',
-                          lambda _, size, name=name: {name: np.clip(size, -_MOST, _MOST)},
-                          [[_ASYMMETRY]], both, free=[name])
+            yield _Effect(
+                'friction that depends on the direction', [name], [[_ASYMMETRY]], both,
+                lambda _, size, name=name: {name: np.clip(size, -_MOST, _MOST)})
     if own['motor.shaft'] == 'free' and not own['motor.gear.backlash']:
         stiff = _STIFF / own['motor.shaft_inertia'] * step**2
         if not own['motor.gear.stiffness']:
-            yield _Effect('an elastic gear', 'set motor.gear.stiffness and motor.rotor.inertia, '
-                          'and free them', _gear, [[stiff]], shape=[0.1, 1.0], free=_GEAR,
+            yield _Effect('an elastic gear', _GEAR, [[stiff]], change=_gear, shape=[0.1, 1.0],
                           bends=True)
         yield _Effect(
-            'backlash of the gear', 'set motor.gear.backlash to about {:.2g}',
-            lambda own, size: {**({} if own['motor.gear.stiffness'] else _gear(own, stiff)),
-                               'motor.gear.backlash': size}, [[play] for play in _BACKLASH],
-            free=['motor.gear.backlash', *([] if own['motor.gear.stiffness'] else _GEAR)])
+            'backlash of the gear',
+            ['motor.gear.backlash', *([] if own['motor.gear.stiffness'] else _GEAR)],
+            [[play] for play in _BACKLASH],
+            change=lambda own, size: {**({} if own['motor.gear.stiffness'] else _gear(own, stiff)),
+                                      'motor.gear.backlash': size})
+    if forces[2] and not own['motor.spring.stiffness']:
+        yield _Effect(
+            'a spring on the shaft, as of a cable', _SPRING,
+            [[part * forces[2] / run.shaft.std()] for part in _STRETCHED],
+            change=lambda own, size: dict(zip(_SPRING, (size, own['initial.shaft']))))
+    if own['arm.root_stiffness'] == math.inf and own['model.modes']:
+        arm = run.model.manipulator.arm
+        yield _Effect(
+            'a clamp that gives', ['arm.root_stiffness'],
+            [[part * arm.length / np.mean(arm.section.bending_stiffness)] for part in _CLAMP],
+            _LEAST, lambda _, size: {'arm.root_stiffness': 1.0 / size}, bends=True)
     if not any(own['gravity']):
-        yield _Effect('gravity, as of a tilted plane', 'free gravity[0] and gravity[1]',
-                      lambda _, x, y: {'gravity[0]': x, 'gravity[1]': y},
-                      [[size, size] for size in _GRAVITY], both, free=_TILTED)
+        yield _Effect('gravity, as of a tilted plane', _TILTED,
+                      [[size, size] for size in _GRAVITY], both)
     late = {name for name in problem.record.outputs if f'{name}.delay' in values}
     for name, channel in {**problem.record.inputs, **problem.record.outputs}.items():
-        # Delays of all outputs are those of the input.
-        for kind, advice, trials, low in (
-                ('delay', 'a delay of', [[count * step] for count in _DELAYS], 0.0),
-                ('lag', 'a lag of', [[count * step] for count in _DELAYS], 0.0),
-                ('bias', 'an offset of', [[np.std(channel.values) or 1.0]], both)):
-            late_by = f'{name}.{kind}'
-            if late_by not in values and name != DRIVE and (
-                    kind == 'bias' or late < {*problem.record.outputs}):
-                yield _Effect(f'{advice} {name}', f'free {late_by}, about {{:.2g}}',
-                              lambda _, size, name=late_by: {name: size}, trials, low,
-                              free=[late_by])
+        steps, size = [[count * step] for count in _DELAYS], np.abs(channel.values).max()
+        for kind, text, trials, low in (
+                ('delay', 'a delay of', steps, 0.0), ('lag', 'a lag of', steps, 0.0),
+                ('bias', 'an offset of', [[np.std(channel.values) or 1.0]], both),
+                ('dead_zone', 'a dead zone of', [[part * size] for part in _DEAD], 0.0)):
+            # Delays of all outputs are those of the input.
+            if f'{name}.{kind}' not in values and kind in kinds_of(problem.record, name) and (
+                    name != DRIVE) and (kind in ('bias', 'dead_zone') or late < {
+                        *problem.record.outputs}):
+                yield _Effect(f'{text} {name}', [f'{name}.{kind}'], trials, low)
     if 'initial.modal_coordinates[0]' not in values and own['model.modes']:
-        first = initial_scale('initial.modal_coordinates[0]', problem.scene)
-        yield _Effect(
-            'an arm that moves at the beginning', 'free initial.modal_coordinates[0] and '
-            'initial.modal_rates[0]', lambda _, *both: dict(zip(_MOVING, both)),
-            [[first, initial_scale('initial.modal_rates[0]', problem.scene)]], both, free=_MOVING)
-    if own['motor.shaft'] == 'free' and 'initial.shaft' not in values:
-        yield _Effect('another angle of the shaft at the beginning',
-                      f'free initial.shaft, about {own["initial.shaft"]:.2g} + {{:.2g}} rad',
-                      lambda own, size: {'initial.shaft': own['initial.shaft'] + size},
-                      [[0.1]], both, free=['initial.shaft'])
+        yield _Effect('an arm that moves at the beginning', _MOVING,
+                      [[initial_scale(name, problem.scene) for name in _MOVING]], both)
     for each in INPUTS:
         if each.name in problem.record.inputs and each.limit and not np.isfinite(own[each.limit]):
             most = np.abs(problem.record.inputs[each.name].values).max()
-            yield _Effect(f'a limit of the {each.name}', f'set {each.limit}, below {most:.2g}',
-                          lambda _, cut, name=each.limit, most=most: {name: most / (1.0 + cut)},
-                          [[cut] for cut in _EXCESS])
-    yield _Effect('one more mode', f'set model.modes to {own["model.modes"] + 1}',
-                  lambda own, on: {'model.modes': own['model.modes'] + bool(on)}, [[1.0]], 1.0)
+            yield _Effect(
+                f'a limit of the {each.name}', [], [[cut] for cut in _EXCESS],
+                change=lambda _, cut, name=each.limit, most=most: {name: most / (1.0 + cut)})
+    yield _Effect('one more mode', [], [[1.0]], 1.0,
+                  lambda own, on: {'model.modes': own['model.modes'] + bool(on)})
 
 
 def _gear(own, compliance, damping=0.1, inertias=1.0):
@@ -333,34 +293,28 @@ def _gear(own, compliance, damping=0.1, inertias=1.0):
 
 def _resonances(objective, x):
     """Yield frequencies beside those of the model, and columns, (n,), of such a resonance."""
-    problem = objective.problems[0]
+    problem, series = objective.problems[0], objective.series()
     try:
         own = frequencies_in_motion(problem.scene_of(objective.values(x, 0)))
     except ParameterError:  # as where more modes need shorter steps
         return
-    highest = 0.2 / problem.record.period
+    highest, step = 0.2 / problem.record.period, problem.scene.step
     if not problem.record.inputs or not len(own) or own[0] >= highest:
         return
-    step, series = problem.scene.step, objective.series()
-    driven = []
-    for each in objective.problems:
-        t = step * np.arange(round(each.record.duration / step) + 1)
-        driven.append((each.record, each.until, t, sum(
-            np.interp(t, given.t, given.values) - given.values[0]
-            for given in each.record.inputs.values())))
+    grids = [step * np.arange(round(each.record.duration / step) + 1)
+             for each in objective.problems]
+    driven = [sum(np.interp(t, given.t, given.values) - given.values[0]
+                  for given in each.record.inputs.values())
+              for t, each in zip(grids, objective.problems)]
     for frequency in np.geomspace(own[0], highest, _RESONANCES):
         if np.abs(frequency / own - 1.0).min() < _BESIDE:
             continue
-        # The bilinear transform of 1 / (s^2 + 2 zeta s + 1), s in terms of the frequency.
-        s, columns = 1.0 / (np.pi * frequency * step), []
-        damped = 2.0 * _DAMPING * s
-        system = [s**2 + damped + 1.0, 2.0 - 2.0 * s**2, s**2 - damped + 1.0]
-        for which in ([1.0, 2.0, 1.0], [s, 0.0, -s]):  # its position and its speed
-            parts = []
-            for record, until, t, given in driven:
-                shown = lfilter(which, system, given)
-                parts += [np.interp(each.t[each.t <= until], t, shown)
-                          for each in record.outputs.values()]
+        omega, columns = 2.0 * np.pi * frequency, []
+        for which in ([1.0], [1.0 / omega, 0.0]):  # its position and its speed
+            system = bilinear(which, [omega**-2, 2.0 * _DAMPING / omega, 1.0], 1.0 / step)
+            shown = [lfilter(*system, given) for given in driven]
+            parts = [np.interp(objective.problems[k].record.outputs[name].t[:len(measured)],
+                               grids[k], shown[k]) for k, name, measured in series]
             columns += [np.concatenate([
                 part * (name == each) for part, (_, each, _) in zip(parts, series)])
                 for name in problem.record.outputs]

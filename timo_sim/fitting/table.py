@@ -123,7 +123,7 @@ def _flatten_arrays(value, name):
 
 
 def _read_text(path):
-    """Return the Columns in a text; names are in lines above the numbers, or begin its rows."""
+    """Return the Columns in a text; names are in lines above the numbers."""
     content = path.read_bytes()
     wide = content[:2] in (codecs.BOM_UTF16_LE, codecs.BOM_UTF16_BE)
     text = content.decode('utf-16' if wide else 'utf-8', errors='replace')
@@ -135,20 +135,13 @@ def _read_text(path):
 
 def _parse_lines(lines, path):
     good = [line for line in lines if line.strip() and line.strip()[0] not in _COMMENT]
-    named, found = 0, _first_numbers(good, 0)
-    if found is None:
-        named, found = 1, _first_numbers(good, 1)
-    if found is None:
-        raise ParameterError(f'{path} has no line of numbers')
-    first, separator = found
+    first, separator = _first_numbers(good, path)
     rows = [*_cells(good[first:], separator)]
     for number, row in enumerate(rows):
         if len(row) != len(rows[0]):
             raise ParameterError(f'{path}: row {number + 1} of numbers has {len(row)} columns, '
                                  f'the first has {len(rows[0])}')
-    if len(rows) >= len(rows[0]):
-        named = 0  # a text begins each row of a table, and is no name of a series
-    texts = [cell for row in rows for cell in row[named:]]
+    texts = [cell for row in rows for cell in row]
     if any(',' in text for text in texts) and (
             separator == ',' or any('.' in text for text in texts)):
         raise ParameterError(f'{path} must have decimal points, or decimal commas alone and '
@@ -157,8 +150,6 @@ def _parse_lines(lines, path):
         values = np.array([*map(_number, texts)]).reshape(len(rows), -1)
     except ValueError as error:
         raise ParameterError(f'{path} must have numbers alone: {error}') from None
-    if named:
-        return Columns([([row[0].strip()], each) for row, each in zip(rows, values)])
     above = [line.strip(_COMMENT + ' \t') if line.strip()[:1] in [*_COMMENT] else line
              for line in lines[:lines.index(good[first])]]
     heads = [[name.strip() for name in head] for head in _cells(above, separator)]
@@ -178,25 +169,23 @@ def _name_columns(values, heads, separator):
             hint = f'; the line above has {len(head)} names for {width} columns'
             break
         kept.insert(0, head + [''] * (width - len(head)))
-    if kept or len(values) >= width:
-        return Columns([([head[k] for head in kept if head[k]], each)
-                        for k, each in enumerate(values.T)], '' if kept else hint)
-    return Columns([([], each) for each in values])
+    return Columns([([head[k] for head in kept if head[k]], each)
+                    for k, each in enumerate(values.T)], '' if kept else hint)
 
 
-def _first_numbers(lines, skipped):
-    """Return the first line of which all cells but the skipped are numbers, and its separator."""
+def _first_numbers(lines, path):
+    """Return the place of the first line of numbers, and its separator."""
     for first, line in enumerate(lines):
         for separator in _SEPARATORS:
             if separator and separator not in line:
                 continue
-            cells = next(_cells([line], separator), [])[skipped:]
+            cells = next(_cells([line], separator), [])
             try:
                 if np.isfinite([*map(_number, cells)]).any():
                     return first, separator
             except ValueError:
                 continue
-    return None
+    raise ParameterError(f'{path} has no line of numbers')
 
 
 def _cells(lines, separator):
