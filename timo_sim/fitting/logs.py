@@ -27,9 +27,9 @@ _OUTPUTS = {
     'carrier_y': [('joint_states', 'carrier_y_m')],
     'tip_transverse': [('~/tip_deflection', 'transverse_m')],
 }
-MEASURING = [sensor for sensor in SENSORS if sensor.measured]
-_SENSORS = {sensor.topic: sensor.name for sensor in MEASURING}
-for _sensor in MEASURING:
+_MEASURING = [sensor for sensor in SENSORS if sensor.measured]
+_SENSORS = {sensor.topic: sensor.name for sensor in _MEASURING}
+for _sensor in _MEASURING:
     _OUTPUTS.setdefault(_sensor.measured, []).insert(0, (_sensor.topic, _sensor.columns[-1]))
 
 

@@ -8,20 +8,17 @@ from __future__ import annotations
 from collections.abc import Mapping
 from functools import cache
 from pathlib import Path
-import re
 from typing import Any
 
 import numpy as np
 
-from timo_sim.fitting.logs import MEASURING, read_log
+from timo_sim.fitting.logs import read_log
 from timo_sim.fitting.record import Channel, INPUT_UNITS, OUTPUTS, Record, unit_of, UNITS
 from timo_sim.fitting.response import response_of
 from timo_sim.fitting.table import read_table, SUFFIXES
-from timo_sim.model.layout import with_unit
 from timo_sim.scene.files import read_yaml
 from timo_sim.scene.parameters import (
     checked, did_you_mean, Parameter, ParameterError, PATH, short)
-from timo_sim.topics.outputs import title
 
 _ENTRIES = 'time', 'columns', 'start', 'end'
 _KEYS = {'time': ('column', 'unit', 'file', 'period'),
@@ -51,8 +48,7 @@ def read_record(path: str | Path,
         CSV or other text with columns, Parquet, or MAT (version 5 to 7). Anything else is a log
         without a mapping, and a text with one.
     mapping : str, Path or dict, optional
-        A YAML file or its content, see doc/fit.md: which column is which quantity. Without it,
-        columns named as `timo_sim export` names them are taken.
+        A YAML file or its content, see doc/fit.md: which column of a table is which quantity.
 
     Raises
     ------
@@ -74,8 +70,9 @@ def read_record(path: str | Path,
     if mapping is None and path.suffix not in SUFFIXES:
         return read_log(path)[1]
     if mapping is None:
-        mapping, source = _map_by_names(read_table(path)), str(path)
-    elif isinstance(mapping, Mapping):
+        raise ParameterError(f'mapping must be given with {path}: it says which columns are which '
+                             'quantities, see doc/fit.md; a log of the node needs none')
+    if isinstance(mapping, Mapping):
         source = str(path)
     else:
         mapping, source = read_yaml(mapping), str(mapping)
@@ -193,30 +190,3 @@ def _check_keys(place, entry, known):
         if key not in known:
             raise ParameterError(f'{place}: {short(key, str)} is not known, but '
                                  f'{", ".join(known)}{did_you_mean(key, known)}')
-
-
-def _map_by_names(table):
-    """Return the mapping of a table whose columns are named as `timo_sim export` names them."""
-    columns = {}
-    for column in table.names:
-        name = _quantity_of_column(column)
-        if name and name not in columns.values():
-            columns[column] = name
-    if 'time_s' not in table.names or not any(name in OUTPUTS for name in columns.values()):
-        raise ParameterError('without a mapping the table must have time_s and columns such as '
-                             'torque_N_m and shaft_rad; it has '
-                             + (short(', '.join(table.names), str) or 'no names'))
-    return {'time': {'column': 'time_s'}, 'columns': columns}
-
-
-def _quantity_of_column(column):
-    plain = re.sub(r'^(tip_deflection_|encoder_|motor_torque_|motor_voltage_|carrier_wrench_|'
-                   r'tip_wrench_)', '', column)
-    plain = {'transverse_m': 'tip_transverse_m', 'tip_pose_x_m': 'tip_x_m',
-             'tip_pose_y_m': 'tip_y_m', **{
-                 f'{title(sensor.topic)}_{sensor.columns[-1]}': with_unit(
-                     sensor.measured, sensor.unit) for sensor in MEASURING}}.get(plain, plain)
-    for name in (*INPUT_UNITS, *OUTPUTS):
-        if plain == with_unit(name, unit_of(name)):
-            return name
-    return None
