@@ -132,7 +132,7 @@ AMBIGUOUS = [
     ('t;u;theta\n' + lines(ROWS, ';').replace('.', ',', 1), 'must have decimal points, or'),
     ('t,u,theta\n' + ''.join(f'{k},"{k},000",1\n' for k in range(30)), 'must have decimal point'),
     ('t,u,theta\n' + lines(ROWS).replace('1.0', '1+2j'), 'numbers alone: .*1\\+2j'),
-    ('t,u,theta\n' + ''.join(f'12:{line}\n' for line in lines(ROWS).split()), 'no line of numbers'),
+    ('t,u,theta\n' + ''.join(f'12:{line}\n' for line in lines(ROWS).split()), 'no line of number'),
     ('1,2\n3\n', 'row 2 of numbers has 1 columns, the first has 2'),
     ('1,2\n3,x\n', 'must have numbers alone')
 ]

@@ -205,22 +205,6 @@ def test_inputs_whose_rates_are_limited_are_not_limited_again():
     assert found.suspects[0].name == 'dry friction of the motor'
 
 
-def test_a_resonance_beside_the_modes_has_its_frequency():
-    """Of a mount, which shakes the camera that sees the tip, at 31 Hz."""
-    measured, omega = record(), 2.0 * np.pi * 31.0
-    x, shown = np.zeros(2), []
-    for volts in VOLTAGE:
-        shown.append(x[0])
-        for _ in range(20):  # semi-implicit Euler, steps of 0.1 ms
-            x[1] += 1e-4 * (omega**2 * (volts - x[0]) - 0.02 * omega * x[1])
-            x[0] += 1e-4 * x[1]
-    tip = measured.outputs['tip_transverse']
-    measured.outputs['tip_transverse'] = tip._replace(values=tip.values + 1e-3 * np.array(shown))
-    first = fit(measured).suspects[0]
-    assert first.name.startswith('a resonance at ')
-    assert float(first.name.split()[3]) == pytest.approx(31.0, rel=0.05)
-
-
 COARSE = T[::4]
 
 

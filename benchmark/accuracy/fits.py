@@ -84,9 +84,10 @@ EFFECTS = {
     'nothing': '', 'friction': 'dry friction', 'input delay': 'delay of voltage',
     'output delay': 'delay of tip_transverse', 'offset': 'offset of tip_transverse',
     'limit': 'limit of the voltage',
-    'gravity': 'gravity', 'mode': 'one more mode', 'resonance': 'resonance',
+    'gravity': 'gravity', 'mode': 'one more mode', 'resonance': '',
     'direction': 'depends on the direction', 'near rest': 'near rest',
-    'presliding': 'presliding', 'backlash': 'backlash', 'gear': 'elastic gear'}
+    'presliding': 'presliding', 'backlash': 'backlash', 'gear': 'elastic gear',
+    'spring': 'a spring', 'clamp': 'a clamp', 'dead zone': 'a dead zone'}
 SMOOTH = [name for name in FREE if name not in ('motor.coulomb_friction', DELAY)]
 SAME = 1.01     # ratio of residuals below which two fits ended at the same minimum
 
@@ -356,19 +357,22 @@ def lacking(effect, seed, duration):
             'direction': {'motor.coulomb_asymmetry': 0.3 * size**0.5},
             'near rest': {'motor.coulomb_speed': size},
             'presliding': {'motor.coulomb_presliding': 0.02 * size, 'motor.coulomb_static': 0.7},
-            'first angle': {'initial.shaft': 0.05 * size},
+            'spring': {'motor.spring.stiffness': 0.1 * size},
+            'clamp': {'arm.root_stiffness': 5.0 / size},
             'gear': {**gear, 'motor.gear.stiffness': 10.0 * size},
             'backlash': {**gear, 'motor.gear.backlash': 0.02 * size},
             'gravity': {'gravity': [0.5 * size * np.cos(seed), 0.5 * size * np.sin(seed)]},
             'mode': {'model.modes': 3}}.get(effect, {})
     limit = 2.5 * size**-0.3 if effect == 'limit' else np.inf
+    dead = 0.3 * size if effect == 'dead zone' else 0.0
     late = STEP / FINER * round(8.0 * size)
     begin = np.append(0.0, t[1:] + (late if effect == 'input delay' else 0.0))
     if effect == 'mode':  # a chirp through the second one
         volts = 12.0 * np.sin(2.0 * np.pi * (20.0 + 40.0 / duration * t) * t)
     run = timo_sim.simulate({
         **base, **more, 'integrator.step': STEP / FINER, 'load.torque.piecewise.time': begin,
-        'load.torque.piecewise.value': torque(base, np.clip(volts, -limit, limit))}, duration,
+        'load.torque.piecewise.value': torque(
+            base, np.clip(volts, -limit, limit) - np.clip(volts, -dead, dead))}, duration,
         estimate=False)
     tip = CubicSpline(run.t, run.deflection()[:, 1])
     seen = {'shaft': run.shaft[::FINER][:len(t)],

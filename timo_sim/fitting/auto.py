@@ -6,6 +6,7 @@
 from __future__ import annotations
 
 from collections.abc import Callable
+import math
 from typing import Any, NamedTuple
 
 import numpy as np
@@ -74,19 +75,19 @@ def choose(scene: Scene, free: list[str], objective_of: Callable[[Scene, list[st
 
     `keep` is called with each scene that is the best so far, and the values found.
     """
-    best, trial, line = Choice(scene, free, {}, []), Choice(scene, free, {}, []), ''
+    best, line = Choice(scene, free, {}, []), ''
     search, sure = Search(objective_of(scene, free)), best
     try:
         while True:
-            objective = objective_of(trial.scene, trial.free)
-            search = Search(objective, first=trial.values)
+            objective = objective_of(best.scene, best.free)
+            search = Search(objective, first=best.values)
             search.set_deadline(deadline)
             x = search.settle(starts, anew=not line)
             values = {free.name: free.value(at) for free, at in zip(objective.free, x)}
             error, _ = predict(objective, x)
-            ladder = [*trial.ladder, f'{line or "the plain arm"}: {error:.2%}']
+            ladder = [*best.ladder, f'{line or "the plain arm"}: {error:.2%}']
             say(f'error of the end of what is fitted, which was held out, {ladder[-1]}')
-            best = trial = Choice(
+            best = Choice(
                 objective.problems[0].scene_of(objective.values(x, 0)),
                 [*{each.name: each.text for problem in objective.problems
                    for each in problem.free}.values()], values, ladder)
@@ -94,12 +95,12 @@ def choose(scene: Scene, free: list[str], objective_of: Callable[[Scene, list[st
             own = {**best.scene.values, **values}
             found = [each for each in suspects(  # an effect may vanish as it is fitted
                 objective, x, *search.weighted(x), _SUSPECTS, error)
-                if each.effect and each.effect.changes(own, *each.sizes)]
+                if each.ratio < math.inf and each.effect.changes(own, *each.sizes)]
             tried = [f'    with {each.name}: {each.ratio * error:.2%}' for each in found]
             say('\n'.join(['tried', *tried]))
             best = best._replace(ladder=[*ladder, *tried])
             first = min(found, key=lambda each: each.ratio, default=None)
-            if first is None or not first.effect or not first.ratio < BETTER:
+            if first is None or not first.ratio < BETTER:
                 return best
             line = first.name
             changes: dict[str, Any] = first.effect.changes(own, *first.sizes)
@@ -109,7 +110,7 @@ def choose(scene: Scene, free: list[str], objective_of: Callable[[Scene, list[st
             moved = 'motor.rotor.inertia' in changes
             names = [split_guess(each)[0] for each in best.free]
             sure = best  # if a fit with the effect is not possible
-            best = trial = best._replace(scene=scene, values={**values, **changes}, free=[
+            best = best._replace(scene=scene, values={**values, **changes}, free=[
                 name.replace('motor.', 'motor.rotor.')
                 if moved and name.startswith('motor.coulomb_') else each
                 for name, each in zip(names, best.free)] + [

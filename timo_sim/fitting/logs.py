@@ -63,20 +63,17 @@ def read_log(path: str | Path, scene: Scene | None = None,
 
 
 def _inputs(segment, scene, begin):
-    commanded, rows, steps = np.zeros(COMMANDED), [np.zeros(COMMANDED)], [begin]
+    commanded = np.zeros(COMMANDED)
+    rows = {begin: commanded.copy()}  # by step; what comes at the same one replaces it
     for step, index, values, _ in segment.commands:
         COMMANDS[index].apply(values, commanded)
-        if step == steps[-1]:
-            rows[-1] = commanded.copy()
-        else:
-            rows.append(commanded.copy())
-            steps.append(step)
-    table = np.array(rows)
+        rows[step] = commanded.copy()
+    table = np.array([*rows.values()])
     left = table[:, [k for k in range(COMMANDED) if k not in _COLUMNS.values()]]
     if left.any():
         raise ParameterError('forces in the axes of the arm or of the tip cannot be inputs of a '
                              'fit, because they follow a motion that is not measured')
-    t = scene.step * np.array(steps)
+    t = scene.step * np.array([*rows])
     return {name: Channel(t, table[:, column]) for name, column in _COLUMNS.items()
             if table[:, column].any()}
 

@@ -25,18 +25,14 @@ _KEYS = {'time': ('column', 'unit', 'file', 'period'),
          'columns': ('quantity', 'unit', 'scale', 'offset', 'noise', 'hold', 'knots', 'file',
                      'time')}
 _RULES = {name: Parameter(name, 0.0, '', '') for name in ('scale', 'offset', 'start', 'end')}
-_RULES.update({name: Parameter(name, 0.0, '', '', low=0.0, open_low=True)
-               for name in ('noise', 'period', 'knots')})
+_RULES |= {'file': Parameter('file', '', '', ''),
+           **{name: Parameter(name, 0.0, '', '', low=0.0, open_low=True)
+              for name in ('noise', 'period', 'knots')}}
 _NOT_REAL = {'c': 'it has complex ones', 'M': 'it has stamps', 'm': 'it has durations'}
-_RULES['file'] = Parameter('file', '', '', '')
 
 
-def is_mapping(value: Any) -> bool:
-    """Return whether a value says which columns are which quantities, or the file that does."""
-    return bool(value) and isinstance(value, (str, Path, Mapping))
-
-
-@checked(path=PATH, mapping=(is_mapping, 'a path, or values by name'))
+@checked(path=PATH, mapping=(
+    lambda value: value and isinstance(value, (str, Path, Mapping)), 'a path, or values by name'))
 def read_record(path: str | Path,
                 mapping: str | Path | Mapping[str, Any] | None = None) -> Record:
     """

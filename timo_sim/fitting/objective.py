@@ -81,17 +81,17 @@ class Objective:
         part.ends = [*map(first_part, self.problems)]
         return part
 
-    def with_effect(self, change: Callable[..., Mapping[str, Any]], sizes: np.ndarray,
-                    low: Any = -np.inf, high: Any = np.inf) -> Objective:
+    def with_effect(self, change: Callable[..., Mapping[str, Any]], sizes: Any,
+                    low: Any = -np.inf) -> Objective:
         """
         Return that of scenes which `change`, a function of their values and sizes, also changes.
 
-        Behind the coordinates of what is free, x has factors of the sizes, from `low` to `high`.
+        Behind the coordinates of what is free, x has factors of the sizes, `low` at least.
         """
         found = copy(self)
-        found._change = lambda values, factors: change(values, *(factors * sizes))
+        found._change = lambda values, factors: change(values, *(factors * np.array(sizes)))
         ones = np.ones(len(sizes))
-        for name, each in ('start', 1.0), ('low', low), ('high', high), ('widths', np.inf):
+        for name, each in ('start', 1.0), ('low', low), ('high', np.inf), ('widths', np.inf):
             setattr(found, name, np.append(getattr(self, name), each * ones))
         return found
 

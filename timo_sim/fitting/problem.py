@@ -350,15 +350,11 @@ class Problem:
         if DRIVE in record.inputs and scene.values['motor.shaft'] != 'driven':
             scene = scene.vary({'motor.shaft': 'driven', 'motor.drive': {
                 'time': [0.0], 'angle': [0.0], 'speed': [0.0], 'acceleration': [0.0]}})
-        if DRIVE not in record.inputs and scene.values['motor.shaft'] == 'driven' and (
-                not scene.load.terms[SHAFT_DRIVE]):
-            raise ParameterError('motor.shaft = driven needs a record of the input drive')
         if record.duration > _MAX_STEPS * scene.step:
             raise ParameterError(f'the record lasts {record.duration:g} s, but at most '
                                  f'{_MAX_STEPS:g} steps of {scene.step:g} s are fitted: cut it, '
                                  'if the unit of its times is right')
-        self.scene, self.until = scene, until
-        self.record = record
+        self.scene, self.record, self.until = scene, record, until
         self._sensors = {f'{name}.{kind}' for name in record.outputs for kind in SENSOR}
         self.free = free_parameters(names, bounds, scene, record)
         self._shown: dict[tuple[Any, ...], tuple[float, dict[str, np.ndarray]]] = {}

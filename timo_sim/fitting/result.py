@@ -18,7 +18,7 @@ import numpy as np
 from timo_sim.fitting.auto import choose, plain
 from timo_sim.fitting.logs import read_log
 from timo_sim.fitting.look import begin_with, look, noise_of
-from timo_sim.fitting.mapping import is_mapping, read_record
+from timo_sim.fitting.mapping import read_record
 from timo_sim.fitting.objective import LOSSES, Objective
 from timo_sim.fitting.record import Record, unit_of
 from timo_sim.fitting.problem import (
@@ -309,15 +309,9 @@ def _are_records(value):
         value if isinstance(value, (list, tuple)) else [value]))
 
 
-def _are_mappings(value):
-    return all(each is None or is_mapping(each) for each in value) if isinstance(
-        value, (list, tuple)) else is_mapping(value)
-
-
 @checked(free=TEXTS, bounds=MAPPING, tell=FUNCTION, quick=FLAG, auto=FLAG, keep=FUNCTION,
          record=(_are_records, 'a Record, a path, or a list of these'),
-         hold_out_records=(_are_records, 'a list of Records or paths'),
-         mapping=(_are_mappings, 'a path, values by name, or a list of these'))
+         hold_out_records=(_are_records, 'a list of Records or paths'))
 def fit(scene: SceneLike | None, record: RecordLike | Sequence[RecordLike],
         free: Sequence[str] = (),
         bounds: Mapping[str, Sequence[float]] | None = None, hold_out: float = 0.0,
@@ -456,10 +450,10 @@ def fit(scene: SceneLike | None, record: RecordLike | Sequence[RecordLike],
     search.run(starts)
     phases = _Phases(search, say)
     search.set_deadline(end)
-    intervals = _find_intervals(search, phases, quick)
+    known = _find_intervals(search, phases, quick)
     seconds = monotonic() - begun
-    estimates = intervals.estimates(search)
-    phases.doubts += _find_doubts(estimates, objective.problems[0], objective.values(search.x, 0))
+    phases.doubts += _find_doubts(
+        known.estimates, objective.problems[0], objective.values(search.x, 0))
     search.set_deadline(math.inf)
     say('one run of each record, and one with more modes and half the step')
     shared = {free.name: free.value(at) for free, at in zip(objective.free, search.x)}
@@ -470,23 +464,21 @@ def fit(scene: SceneLike | None, record: RecordLike | Sequence[RecordLike],
                    for k, (problem, values) in enumerate(every, 1)]
     search.set_deadline(end)
     likely = []
-    if intervals.posterior and not quick and not intervals.white and not any(
+    if known.posterior and not quick and not known.white and not any(
             isinstance(each, Response) for each in measured) and any(
             1.0 - each.r_squared > NUMERICAL for prediction in predictions
             for each in prediction.errors.values()):
         likely = phases.attempt(
             'what the residuals look like is', lambda: suspects(
-                objective, search.x, intervals.posterior.jacobian, intervals.posterior.residuals),
+                objective, search.x, known.posterior.jacobian, known.posterior.residuals),
             [], 'what the residuals look like')
         phases.doubts[bool(search.stopped):bool(search.stopped)] = name_suspects(likely)
     first, *more = predictions
     result = Fit(
         record=first.record, errors=first.errors, run=first.run, predicted=first.predicted,
         until=first.until, scene=objective.problems[0].scene_of(objective.values(search.x, 0)),
-        estimates=estimates, correlation=intervals.correlation,
-        unidentified=intervals.unidentified(estimates), white=intervals.white,
-        warnings=phases.doubts, seconds=seconds, starts=search.tried, others=search.others,
-        more=more, posterior=intervals.posterior, stopped=search.stopped,
+        **known._asdict(), warnings=phases.doubts, seconds=seconds, starts=search.tried,
+        others=search.others, more=more, stopped=search.stopped,
         suspects=[each._replace(effect=None) for each in likely],
         look=seen, ladder=choice.ladder if choice else [])
     if phases.doubts:
@@ -504,72 +496,55 @@ def _held_out(start, record, free, measured, objective):
     return problem_of(start, record, names_for(record, measured, common), {}, 0.0)
 
 
-class _Intervals(NamedTuple):
-    """What is known of estimates, by p free parameters, beside their values."""
+class _Found(NamedTuple):
+    """What is known of p estimates."""
 
+    estimates: dict[str, Estimate]
+    correlation: np.ndarray  # (p, p)
+    unidentified: list[dict[str, float]]
+    white: bool
     posterior: Posterior | None  # None: the fit was stopped before it was known
-    white: bool             # whether residuals are
-    spread: np.ndarray      # covariance of coordinates, (p, p)
-    identified: list[bool]  # (p,)
-    profiles: dict[int, tuple[float, float]]  # intervals that are not quadratic, by place
-
-    @property
-    def correlation(self):
-        sigma = np.sqrt(np.diag(self.spread))
-        return np.clip(self.spread / np.outer(sigma, sigma), -1.0, 1.0)  # but for round-off
-
-    def estimates(self, search):
-        """Return the Estimate of each free parameter, by name."""
-        estimates, sigma = {}, np.sqrt(np.diag(self.spread))
-        for k, (free, at, identified) in enumerate(zip(
-                search.objective.free, search.x, self.identified)):
-            value, half = free.value(at), NORMAL * sigma[k]
-            edges = {'low': free.coordinate(free.low), 'high': free.coordinate(free.high)}
-            known = identified or math.isfinite(free.width)
-            low, high = (map(free.value, self.profiles.get(k, (at - half, at + half)))
-                         if known else (math.nan, math.nan))
-            deviation = sigma[k] * (value if free.log else free.scale)
-            estimates[free.name] = Estimate(
-                value=value if known else math.nan, low=low, high=high,
-                deviation=deviation if known else math.nan, start=free.start,
-                unit=free.unit, identified=identified, profile=k in self.profiles, bound=next(
-                    (name for name, edge in edges.items() if abs(at - edge) < _AT_BOUND), ''),
-                from_guess=known and not identified)
-        return estimates
-
-    def unidentified(self, estimates):
-        """Return the combinations of parameters that are not identified."""
-        if self.posterior is None:
-            return []
-        lost = {name for name, each in estimates.items() if not each.identified}
-        rows = np.concatenate(self.posterior.objective.split(self.posterior.jacobian))
-        return unidentified_combinations(rows, [*estimates], lost)
 
 
 def _find_intervals(search, phases, quick):
-    """Return the _Intervals of a search that has ended."""
-    objective, x, count = search.objective, search.x, len(search.objective.free)
+    """Return what is _Found of the estimates of a search that has ended."""
+    objective, x = search.objective, search.x
     jacobian, jumps = phases.attempt('intervals are', search.derivatives, (None, []),
                                      'derivatives, for the intervals')
-    if jacobian is None:
-        return _Intervals(None, objective.is_white(x), np.full((count, count), np.nan),
-                          [True] * count, {})
     if jumps:
         phases.doubts.append(f'the run depends on {", ".join(jumps)} in jumps, so the intervals '
                              'may be too small')
-    residuals = objective.residuals(x)
-    residuals *= objective.weights(residuals)
-    spread, white = covariance(
-        objective.split(jacobian), objective.split(residuals), objective.widths)
-    posterior = Posterior(objective, x, jacobian, residuals, spread)
-    halves = NORMAL * np.sqrt(np.diag(spread))
-    identified = [bool(half < min(1.0 if free.log else max(1.0, abs(at)),
-                                  _NARROWED * NORMAL * free.width))
-                  for free, at, half in zip(objective.free, x, halves)]
-    profiles = {} if quick else phases.attempt(
+    spread, white, posterior = np.full((len(x), len(x)), math.nan), objective.is_white(x), None
+    if jacobian is not None:
+        residuals = objective.residuals(x)
+        residuals *= objective.weights(residuals)
+        spread, white = covariance(
+            objective.split(jacobian), objective.split(residuals), objective.widths)
+        posterior = Posterior(objective, x, jacobian, residuals, spread)
+    sigma = np.sqrt(np.diag(spread))
+    identified = [posterior is None or bool(NORMAL * deviation < min(
+        1.0 if free.log else max(1.0, abs(at)), _NARROWED * NORMAL * free.width))
+        for free, at, deviation in zip(objective.free, x, sigma)]
+    profiles = {} if quick or posterior is None else phases.attempt(
         'intervals by profile are', lambda: posterior.intervals(np.flatnonzero(identified)), {},
         'intervals, where others may be by profile')
-    return _Intervals(posterior, white, spread, identified, profiles)
+    estimates = {}
+    for k, (free, at, deviation) in enumerate(zip(objective.free, x, sigma)):
+        known = identified[k] or math.isfinite(free.width)
+        value, half = (free.value(at), NORMAL * deviation) if known else (math.nan, math.nan)
+        low, high = map(free.value, profiles.get(k, (at - half, at + half)))
+        edges = {'low': free.coordinate(free.low), 'high': free.coordinate(free.high)}
+        estimates[free.name] = Estimate(
+            value=value, low=low, high=high, start=free.start, unit=free.unit,
+            deviation=half / NORMAL * (value if free.log else free.scale),
+            identified=identified[k], profile=k in profiles,
+            from_guess=known and not identified[k], bound=next(
+                (name for name, edge in edges.items() if abs(at - edge) < _AT_BOUND), ''))
+    lost = {name for name, each in estimates.items() if not each.identified}
+    return _Found(
+        estimates, np.clip(spread / np.outer(sigma, sigma), -1.0, 1.0),  # but for round-off
+        [] if posterior is None else unidentified_combinations(
+            np.concatenate(objective.split(jacobian)), [*estimates], lost), white, posterior)
 
 
 class _Phases:

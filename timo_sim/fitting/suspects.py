@@ -21,15 +21,13 @@ from typing import Any, NamedTuple
 
 import numpy as np
 from scipy.optimize import least_squares
-from scipy.signal import bilinear, lfilter
 
 from timo_sim.fitting.objective import DIVERGED, Objective
 from timo_sim.fitting.problem import kinds_of
 from timo_sim.fitting.record import DRIVE
 from timo_sim.model.layout import INPUTS
-from timo_sim.runs.modes import frequencies_in_motion
 from timo_sim.scene.numbers import initial_scale
-from timo_sim.scene.parameters import ParameterError, PARAMETERS
+from timo_sim.scene.parameters import PARAMETERS
 
 _FRICTION = 0.01, 0.1, 1.0  # sizes that are tried, of the force that accelerates the free body
 _ASYMMETRY, _MOST = 0.2, 0.99
@@ -41,8 +39,6 @@ _EXCESS = 0.1, 0.4, 1.0  # of the largest value of an input over its limit, rela
 _REST = 0.02, 0.1, 0.5  # speeds over which friction builds up, of that of the body
 _FACTORS = -5.0, 5.0  # logarithms of factors of such a speed, to which they are tried
 _STIFF = 5.0  # compliance of a gear that is tried, in step**2 / inertia of the shaft
-_BESIDE = 0.1  # relative distance of a resonance from the modes of the model
-_RESONANCES, _DAMPING = 60, 0.02  # how many frequencies are tried, and their damping ratio
 _INNER = 2.0 / 3.0  # part of what is fitted to which suspects are fitted; the rest judges them
 BETTER = 0.9  # ratio of errors there, below which a suspect predicts better
 _FINE = 1e-3  # error, of the spread of an output, below which others count for more
@@ -92,8 +88,8 @@ class Suspect(NamedTuple):
     share: float   # of the squares of the residuals that it explains, or predicts if it was fitted
     advice: str
     ratio: float = math.inf  # of errors with it and without, see `predict`, if it was fitted
-    effect: _Effect | None = None
-    sizes: Sequence[float] = ()  # of the effect
+    effect: Any = None           # the _Effect; a Fit has it not
+    sizes: Sequence[float] = ()  # of that
 
 
 def suspects(objective: Objective, x: np.ndarray, jacobian: np.ndarray,
@@ -109,24 +105,7 @@ def suspects(objective: Objective, x: np.ndarray, jacobian: np.ndarray,
         return []
     (free, _), root = np.linalg.qr(jacobian), objective.weights(here)
     left = residuals - free @ (free.T @ residuals)
-
-    def explain(columns, low=-np.inf):
-        """Return the share and the factors of columns."""
-        columns = np.column_stack(columns)
-        columns = root[:, np.newaxis] * np.pad(
-            columns, ((0, len(root) - len(columns)), (0, 0)))  # guesses are not concerned
-        columns -= free @ (free.T @ columns)
-        factors, *_ = np.linalg.lstsq(columns, -left, rcond=1e-9)
-        rest = left + columns @ factors
-        return (0.0 if low >= 0.0 and factors[0] < 0.0
-                else float(1.0 - (rest @ rest) / (left @ left))), factors
-
-    share, frequency = max(((explain(columns)[0], frequency) for frequency, columns
-                            in _resonances(objective, x)), default=(0.0, 0.0))
-    found = [Suspect(
-        f'a resonance at {frequency:.3g} Hz, which no mode of the model has', share,
-        'look for what vibrates beside the arm, and try other first guesses', 0.0)]
-    tried: list[Any] = []
+    found, tried = list[Suspect](), list[Any]()
     for effect in _effects(objective, x):
         of_trials = []
         for sizes in np.array(effect.trials):
@@ -134,7 +113,11 @@ def suspects(objective: Objective, x: np.ndarray, jacobian: np.ndarray,
             runs = [having.residuals(np.append(x, [*each, *np.ones(len(effect.shape))]))
                     for each in np.eye(len(sizes))]
             if all(np.all(np.abs(run) < DIVERGED) for run in runs):
-                share, factors = explain([run - here for run in runs], effect.low)
+                columns = root[:, np.newaxis] * (np.column_stack(runs) - here[:, np.newaxis])
+                columns -= free @ (free.T @ columns)
+                factors, *_ = np.linalg.lstsq(columns, -left, rcond=1e-9)
+                rest, possible = left + columns @ factors, effect.low < 0.0 or factors[0] >= 0.0
+                share = float(1.0 - (rest @ rest) / (left @ left)) if possible else 0.0
                 of_trials.append((share, effect, np.append(
                     np.maximum(factors, effect.low) * sizes, effect.shape)))
         tried += sorted(of_trials, key=lambda each: -each[0])[:1]
@@ -143,8 +126,7 @@ def suspects(objective: Objective, x: np.ndarray, jacobian: np.ndarray,
     for rank, (share, effect, sizes) in enumerate(tried):
         # What is all or nothing has no first order. Tilted planes explain a little of anything.
         worth = (rank < most or effect.bends) and effect.free != _TILTED if most else (
-            share > (_BENT if effect.bends else _WORTHWHILE) * max(
-                tried[0][0], found[0].share) or effect.low == 1.0)
+            share > (_BENT if effect.bends else _WORTHWHILE) * tried[0][0] or effect.low == 1.0)
         ratio = math.inf
         if worth:
             error = error or predict(objective, x)[0]
@@ -157,28 +139,30 @@ def suspects(objective: Objective, x: np.ndarray, jacobian: np.ndarray,
 
 
 def predict(objective: Objective, x: np.ndarray, effect: _Effect | None = None,
-            sizes: Any = ()) -> tuple[float, np.ndarray]:
+            sizes: Any = ()) -> tuple[float, Any]:
     """
     Return the error of the last third of the records, and sizes, of a fit to the rest, near x.
 
     It is the geometric mean of rms errors of outputs, each over its spread.
     """
-    whole, terms, sizes = objective, [], np.asarray(sizes, dtype=float)
+    whole, terms, varied = objective, [], []
     if effect:
         low = np.where(np.arange(len(sizes)) < len(effect.trials[0]), effect.low, 0.0)
-        high = np.where(low == 1.0, 1.0 + 1e-6, np.inf)  # what is all or nothing stays
-        whole = objective.with_effect(effect.changes, sizes, low, high)
+        varied = [] if effect.low == 1.0 else sizes
+        whole = objective.with_effect(lambda own, *some: effect.changes(
+            own, *(some or sizes)), varied, low[:len(varied)])
     part = copy(whole)
     part.ends = [_INNER * end for end in objective.ends]
     x = least_squares(
-        part.residuals, part.within(np.append(x, np.ones(len(sizes)))),
+        part.residuals, part.within(np.append(x, np.ones(len(varied)))),
         lambda x: part.jacobian(x, _STEP, False), (part.low, part.high), x_scale='jac',
         loss=part.loss, ftol=_TOLERANCE, max_nfev=_MAX_RUNS).x
     for (k, name, measured), rows in zip(objective.series(), whole.split(whole.residuals(x))):
         late = objective.problems[k].record.outputs[name].t[:len(rows)] > part.ends[k]
         size = (objective.deviations[k][name] / (np.std(measured) or 1.0))**2
         terms.append(np.log(np.mean(rows[late]**2) * size + _FINE**2))
-    return float(np.exp(0.5 * np.mean(terms))), x[len(objective.free):] * sizes
+    return float(np.exp(0.5 * np.mean(terms))), (
+        x[len(objective.free):] * varied if len(varied) else sizes)
 
 
 def name_suspects(found: list[Suspect]) -> Iterator[str]:
@@ -237,13 +221,15 @@ def _effects(objective: Objective, x: np.ndarray) -> Iterator[_Effect]:
     if forces[2] and not own['motor.spring.stiffness']:
         yield _Effect(
             'a spring on the shaft, as of a cable', _SPRING,
-            [[part * forces[2] / run.shaft.std()] for part in _STRETCHED],
+            [[part * float(forces[2] / run.shaft.std())] for part in _STRETCHED],
             change=lambda own, size: dict(zip(_SPRING, (size, own['initial.shaft']))))
-    if own['arm.root_stiffness'] == math.inf and own['model.modes']:
+    # With one mode it is no other than a softer arm.
+    if own['arm.root_stiffness'] == math.inf and own['model.modes'] > 1:
         arm = run.model.manipulator.arm
         yield _Effect(
             'a clamp that gives', ['arm.root_stiffness'],
-            [[part * arm.length / np.mean(arm.section.bending_stiffness)] for part in _CLAMP],
+            [[part * arm.length / float(np.mean(arm.section.bending_stiffness))]
+             for part in _CLAMP],
             _LEAST, lambda _, size: {'arm.root_stiffness': 1.0 / size}, bends=True)
     if not any(own['gravity']):
         yield _Effect('gravity, as of a tilted plane', _TILTED,
@@ -289,33 +275,3 @@ def _gear(own, compliance, damping=0.1, inertias=1.0):
         changes |= {shaft: PARAMETERS[shaft].default,
                     f'motor.rotor.coulomb_{name}': factor * own[shaft]}
     return changes
-
-
-def _resonances(objective, x):
-    """Yield frequencies beside those of the model, and columns, (n,), of such a resonance."""
-    problem, series = objective.problems[0], objective.series()
-    try:
-        own = frequencies_in_motion(problem.scene_of(objective.values(x, 0)))
-    except ParameterError:  # as where more modes need shorter steps
-        return
-    highest, step = 0.2 / problem.record.period, problem.scene.step
-    if not problem.record.inputs or not len(own) or own[0] >= highest:
-        return
-    grids = [step * np.arange(round(each.record.duration / step) + 1)
-             for each in objective.problems]
-    driven = [sum(np.interp(t, given.t, given.values) - given.values[0]
-                  for given in each.record.inputs.values())
-              for t, each in zip(grids, objective.problems)]
-    for frequency in np.geomspace(own[0], highest, _RESONANCES):
-        if np.abs(frequency / own - 1.0).min() < _BESIDE:
-            continue
-        omega, columns = 2.0 * np.pi * frequency, []
-        for which in ([1.0], [1.0 / omega, 0.0]):  # its position and its speed
-            system = bilinear(which, [omega**-2, 2.0 * _DAMPING / omega, 1.0], 1.0 / step)
-            shown = [lfilter(*system, given) for given in driven]
-            parts = [np.interp(objective.problems[k].record.outputs[name].t[:len(measured)],
-                               grids[k], shown[k]) for k, name, measured in series]
-            columns += [np.concatenate([
-                part * (name == each) for part, (_, each, _) in zip(parts, series)])
-                for name in problem.record.outputs]
-        yield frequency, columns

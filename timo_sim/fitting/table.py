@@ -46,15 +46,10 @@ class Columns:
             return self._columns[places[0]][1]
         name, _, number = str(key).rpartition(':')
         for names, values in self._columns:
-            if name in names and values.ndim == 2 and number.isdigit():
-                series = _series(values)
-                if int(number) < len(series):
-                    return series[int(number)]
-        shown = []
-        for place, (names, values) in enumerate(self._columns):
-            name = ' '.join(names) or str(place)
-            shown.append(name if values.ndim == 1 else
-                         f'{name}:0 to {name}:{len(_series(values)) - 1}')
+            if name in names and values.ndim == 2 and number.isdigit() and (
+                    int(number) < len(series := _series(values))):
+                return series[int(number)]
+        shown = [' '.join(names) or str(place) for place, (names, _) in enumerate(self._columns)]
         raise ParameterError(f'{short(key, str)} is no column of the table; it has '
                              f'{", ".join(shown)[:300]}{self._hint}')
 
