@@ -131,12 +131,11 @@ def calls(folder):
         'measured': {'encoder': 0.0}, 'command': {'torque': 1.0}, 'dt': 0.001}, {
             'measured': '{}', 'command': 'None {}', 'dt': 'None 0'}
 
-    yield timo_sim.read_record, {'path': folder / 'record.csv', 'mapping': None}, {
-        'mapping': none}
+    yield timo_sim.read_record, {'path': folder / 'record.csv', 'mapping': {
+        'time': 'time_s', 'columns': {'shaft_rad': 'shaft'}}}, {}
     yield timo_sim.Record.of, {
         'inputs': {'torque': (TIME, TIME)}, 'outputs': {'shaft': (TIME, TIME)},
-        'noise': {'shaft': 0.1}, 'source': 'a'}, {
-            'inputs': '{}', 'noise': 'None {}', 'source': "'' 'x'"}
+        'source': 'a'}, {'inputs': '{}', 'source': "'' 'x'"}
     yield record.select, {'outputs': 'shaft'}, {}
     yield record.cut, {'start': 0.0, 'end': 0.5}, {'start': '0', 'end': 'inf 1e300'}
     yield timo_sim.fit, {

@@ -358,7 +358,7 @@ def lacking(effect, seed, duration):
             'near rest': {'motor.coulomb_speed': size},
             'presliding': {'motor.coulomb_presliding': 0.02 * size, 'motor.coulomb_static': 0.7},
             'spring': {'motor.spring.stiffness': 0.1 * size},
-            'clamp': {'arm.root_stiffness': 5.0 / size},
+            'clamp': {'arm.root_stiffness': 1.0 / size},
             'gear': {**gear, 'motor.gear.stiffness': 10.0 * size},
             'backlash': {**gear, 'motor.gear.backlash': 0.02 * size},
             'gravity': {'gravity': [0.5 * size * np.cos(seed), 0.5 * size * np.sin(seed)]},
