@@ -66,7 +66,8 @@ class ObserverNode(ParameterNode):
                                    for name in self._observer.sensors}, dt=scene.step)
         self._stamps: dict[str, int] = {}  # of the last measurement used, by topic [ns]
         self._count = dict.fromkeys(('used', 'repeated', 'late', 'refused', 'begun again'), 0)
-        self._commands = Commands(self, values['motor.dc.resistance'] > 0.0, frames)
+        # Topics of the arm are in the namespace of this node.
+        self._commands = Commands(self, values['motor.dc.resistance'] > 0.0, frames, '', _DEPTH)
         self._commanded = np.zeros(COMMANDED)
         self._timeout = math.ceil(values['command_timeout'] / scene.step)
         self._sources: list[tuple] = [  # subscription, its type, what takes a message
@@ -82,8 +83,11 @@ class ObserverNode(ParameterNode):
                                      'takes measurements as they come')
             kind = message_class(output.type_name)
             places = dict(zip(output.columns, form(output.type_name, output.template)[2]))
+            topic = output.name.removeprefix('~/')
             self._sources.append((
-                self.create_subscription(kind, output.name, lambda data: None, _QOS, raw=True),
+                self.create_subscription(
+                    kind, topic, lambda data: None, _QOS, raw=True,
+                    qos_overriding_options=self.qos_of('subscription', topic)),
                 kind, partial(self._measurement, sensors, Reader(output.type_name), places)))
         shown = [output._replace(name=f'~/{output.name.removeprefix("~/")}')
                  for output in outputs(scene.modal_count) if output.name in _SHOWN]
@@ -92,14 +96,6 @@ class ObserverNode(ParameterNode):
                   for each in shown if each.name == '~/tip_deflection']
         self._outlets = [MotionOutlet(self, output, frames) for output in shown]
         self._covariance = self.create_publisher(Float64MultiArray, '~/covariance', 10)
-
-    def create_subscription(self, msg_type: Any, topic: str, *arguments: Any,
-                            **options: Any) -> Any:
-        """Subscribe to a topic of the arm: '~/encoder' is in the namespace of this node."""
-        callback, qos = arguments
-        return super().create_subscription(
-            msg_type, topic.removeprefix('~/'), callback,
-            qos if isinstance(qos, QoSProfile) else _DEPTH, **options)
 
     def open(self) -> None:
         """Say what is observed."""

@@ -16,11 +16,9 @@ from rcl_interfaces.srv import SetParameters, SetParametersAtomically
 from rclpy.exceptions import ParameterNotDeclaredException
 from rclpy.node import Node
 from rclpy.parameter import Parameter
-from rclpy.publisher import Publisher
 from rclpy.qos import QoSPolicyKind
 from rclpy.qos_overriding_options import QoSOverridingOptions
 from rclpy.service import Service
-from rclpy.subscription import Subscription
 
 from timo_sim.ros.private import overrides
 from timo_sim.scene.files import is_for, is_of_rclpy, QOS
@@ -102,21 +100,8 @@ class ParameterNode(Node):
 
         self.add_on_set_parameters_callback(callback)
 
-    def create_publisher(self, msg_type: Any, topic: str, *arguments: Any,
-                         **options: Any) -> Publisher:
-        """Create a publisher with the QoS that parameters give it."""
-        return super().create_publisher(
-            msg_type, topic, *arguments, **options,
-            qos_overriding_options=self._overridden('publisher', topic))
-
-    def create_subscription(self, msg_type: Any, topic: str, *arguments: Any,
-                            **options: Any) -> Subscription:
-        """Create a subscription with the QoS that parameters give it."""
-        return super().create_subscription(
-            msg_type, topic, *arguments, **options,
-            qos_overriding_options=self._overridden('subscription', topic))
-
-    def _overridden(self, kind, topic):
+    def qos_of(self, kind: str, topic: str) -> QoSOverridingOptions:
+        """Return which QoS parameters give the 'publisher' or 'subscription' of a topic."""
         prefix = f'{QOS}{self.resolve_topic_name(topic)}.{kind}.'
         return QoSOverridingOptions([QoSPolicyKind[policy.upper()] for policy in _POLICIES
                                      if prefix + policy in overrides(self)])
