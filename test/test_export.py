@@ -141,7 +141,7 @@ def compare(scene, program, calls=30):
         motions.append(simulator.motion.values)
         now, seen = simulator.snapshot(), simulator.sensors  # without noise
         along, across, rotation = now.tip
-        wanted.append([along - now.length, across,
+        wanted.append([along - now.model.tip_point.lever[0], across,
                        *place(*now.joint_positions, along, across),
                        now.joint_positions[2] + rotation, seen.gyro, seen.encoder, seen.rotor,
                        *seen.tip_acceleration, seen.root_strain, *now.effort, now.energy])
