@@ -149,8 +149,8 @@ def calls(folder):
     yield fit.sample, {'n': 2, 'seed': 0}, {'seed': '0'}
     yield fit.save, {'path': folder / 'fit.yaml'}, {'path': "'x'"}
     yield timo_sim.export_c, {
-        'scene': scene, 'folder': folder / 'c', 'target': 'host', 'estimate': False}, {
-            'scene': '{}', 'folder': "'x'"}
+        'scene': scene, 'folder': folder / 'c', 'target': 'host', 'estimate': False,
+        'name': 'arm'}, {'scene': '{}', 'folder': "'x'", 'name': "'x'"}
     yield timo_sim.export_fmu, {
         'scene': scene, 'path': folder / 'a.fmu', 'version': 3, 'estimate': False,
         'target': 'host'}, {'scene': '{}', 'path': "'x'"}

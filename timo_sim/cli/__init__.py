@@ -205,7 +205,8 @@ def export(file: str, output: str, topic: str | None, bag: bool, node: str | Non
                    'wasm32-simd128.')
 @click.option('--estimate', is_flag=True,
               help='Advance a finer run beside, which measures the error of the tip.')
-def export_c(scene: Scene, output: str, target: str, estimate: bool) -> None:
+@click.option('--name', default='arm', show_default=True, help='First part of all names in C.')
+def export_c(scene: Scene, output: str, target: str, estimate: bool, name: str) -> None:
     r"""
     Write SCENE, a parameter file or the name of an installed scene, as a C library.
 
@@ -219,8 +220,8 @@ def export_c(scene: Scene, output: str, target: str, estimate: bool) -> None:
     """
     from timo_sim.export.c import export_c
     click.echo('compiling, which takes up to half a minute', err=True)
-    folder = export_c(scene, output, target, estimate)
-    click.echo(f'{folder} is written: arm.h, arm.o, main.c, CMakeLists.txt')
+    folder = export_c(scene, output, target, estimate, name)
+    click.echo(f'{folder} is written: {name}.h, {name}.o, main.c, CMakeLists.txt')
 
 
 @main.command('export-fmu')

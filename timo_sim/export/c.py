@@ -6,6 +6,7 @@
 from __future__ import annotations
 
 from pathlib import Path
+import re
 import shutil
 from string import Template
 import subprocess
@@ -16,21 +17,22 @@ from timo_sim.export.instance import Code
 from timo_sim.export.library import library, TEXTS
 from timo_sim.model.formulation import DRAWN
 from timo_sim.scene.files import check_target, whole_file
-from timo_sim.scene.parameters import checked, FLAG, ParameterError, PATH, short
+from timo_sim.scene.parameters import checked, FLAG, ParameterError, PATH, short, TEXT
 from timo_sim.scene.scene import load_scene, SceneLike
 from timo_sim.version import __version__
 
+# The templates have `name` and `NAME` as words or first parts of words, see `_fill`.
 _HEADER = """\
 /*
  * A flexible arm, exported by timo_sim $version for $target.
  *
- * An instance lives in memory that its caller owns, ARM_SIZE bytes at an address that is a
+ * An instance lives in memory that its caller owns, NAME_SIZE bytes at an address that is a
  * multiple of 8. Nothing is allocated or printed. Instances are independent; one instance is for
- * one thread at a time. Functions return ARM_OK or another code of enum arm_code; a call that
+ * one thread at a time. Functions return NAME_OK or another code of enum name_code; a call that
  * fails changes nothing, but a step that diverges leaves the steps before it done.
  */
-#ifndef ARM_H
-#define ARM_H
+#ifndef NAME_H
+#define NAME_H
 
 #include <stddef.h>
 #include <stdint.h>
@@ -39,86 +41,86 @@ _HEADER = """\
 extern "C" {
 #endif
 
-#define ARM_STEP $step /* time step [s] */
-#define ARM_SIZE $size /* of an instance [bytes] */
-#define ARM_STATE_SIZE $saved /* count of numbers of a saved state */
-#define ARM_INPUTS $inputs /* count of inputs */
-#define ARM_OUTPUTS $outputs /* count of outputs */
-#define ARM_PARAMETERS $parameters /* count of parameters */
-#define ARM_MOTION $motion /* count of numbers of a motion */
-#define ARM_SHAPE $drawn /* count of points of a shape */
+#define NAME_STEP $step /* time step [s] */
+#define NAME_SIZE $size /* of an instance [bytes] */
+#define NAME_STATE_SIZE $saved /* count of numbers of a saved state */
+#define NAME_INPUTS $inputs /* count of inputs */
+#define NAME_OUTPUTS $outputs /* count of outputs */
+#define NAME_PARAMETERS $parameters /* count of parameters */
+#define NAME_MOTION $motion /* count of numbers of a motion */
+#define NAME_SHAPE $drawn /* count of points of a shape */
 
-enum arm_code {
+enum name_code {
 $codes
 };
 
 /* Inputs act besides the loads of the scene, from the next step on until they are set again. */
-enum arm_input {
+enum name_input {
 $input_list
 };
 
-enum arm_output {
+enum name_output {
 $output_list
 };
 
 /* Parameters are the scene's until they are set; they are > 0, and INFINITY is no limit. */
-enum arm_parameter {
+enum name_parameter {
 $parameter_list
 };
 
-typedef struct arm arm;
+typedef struct name name;
 
-/* Size of an instance in bytes, ARM_SIZE. */
-size_t arm_size(void);
+/* Size of an instance in bytes, NAME_SIZE. */
+size_t name_size(void);
 
-/* Make an instance of `size` bytes of memory, at the start of the scene; it is a arm * then. */
-int arm_create(void *memory, size_t size);
+/* Make an instance of `size` bytes of memory, at the start of the scene; it is a name * then. */
+int name_create(void *memory, size_t size);
 
 /* Return to the start of the scene, with inputs 0; parameters stay. */
-int arm_reset(arm *instance);
+int name_reset(name *instance);
 
 /* Set or get an input. */
-int arm_set_input(arm *instance, int input, double value);
-int arm_get_input(const arm *instance, int input, double *value);
+int name_set_input(name *instance, int input, double value);
+int name_get_input(const name *instance, int input, double *value);
 
 /* Set or get a parameter; what acts of inputs goes on from its value at this step. */
-int arm_set_parameter(arm *instance, int parameter, double value);
-int arm_get_parameter(const arm *instance, int parameter, double *value);
+int name_set_parameter(name *instance, int parameter, double value);
+int name_get_parameter(const name *instance, int parameter, double *value);
 
 /* Advance by some time steps, under constant inputs. */
-int arm_step(arm *instance, int64_t steps);
+int name_step(name *instance, int64_t steps);
 
 /*
  * Get the derivatives of the motion after the next step, which is not done, under the inputs of
- * now: values[k][i] is that of number i by number k of the motion now or, from ARM_MOTION on, by
- * input k - ARM_MOTION. A motion is carrier x, y and shaft, the modal coordinates, then the rate
+ * now: values[k][i] is that of number i by number k of the motion now or, from NAME_MOTION on, by
+ * input k - NAME_MOTION. A motion is carrier x, y and shaft, the modal coordinates, then the rate
  * of each; rows and columns of what is held, locked or driven are 0.
  */
-int arm_step_derivatives(arm *instance,
-                          double values[ARM_MOTION + ARM_INPUTS][ARM_MOTION]);
+int name_step_derivatives(name *instance,
+                          double values[NAME_MOTION + NAME_INPUTS][NAME_MOTION]);
 
 /* Get an output, or all of them, at the end of the last step; the first call computes them. */
-int arm_get_output(arm *instance, int output, double *value);
-int arm_get_outputs(arm *instance, double values[ARM_OUTPUTS]);
+int name_get_output(name *instance, int output, double *value);
+int name_get_outputs(name *instance, double values[NAME_OUTPUTS]);
 
 /*
  * Get the arm's shape, to draw: x and y of points of the centre line in the world [m], at equal
  * distances along the arm from its root, which is the hub's radius from the carrier, to its tip.
  */
-int arm_get_shape(arm *instance, double values[ARM_SHAPE][2]);
+int name_get_shape(name *instance, double values[NAME_SHAPE][2]);
 
 /* Get or set the state: time, inputs, parameters, motion; runs go on from it to the last bit. */
-int arm_get_state(const arm *instance, double values[ARM_STATE_SIZE]);
-int arm_set_state(arm *instance, const double values[ARM_STATE_SIZE]);
+int name_get_state(const name *instance, double values[NAME_STATE_SIZE]);
+int name_set_state(name *instance, const double values[NAME_STATE_SIZE]);
 
 /* Texts; "unknown" for a number that is none. */
-const char *arm_error_text(int code);
-const char *arm_input_name(int input);
-const char *arm_input_unit(int input);
-const char *arm_output_name(int output);
-const char *arm_output_unit(int output);
-const char *arm_parameter_name(int parameter);
-const char *arm_parameter_unit(int parameter);
+const char *name_error_text(int code);
+const char *name_input_name(int input);
+const char *name_input_unit(int input);
+const char *name_output_name(int output);
+const char *name_output_unit(int output);
+const char *name_parameter_name(int parameter);
+const char *name_parameter_unit(int parameter);
 
 #ifdef __cplusplus
 }
@@ -131,51 +133,70 @@ _MAIN = """\
 /* Run it$under and print a table. */
 #include <stdio.h>
 
-#include "arm.h"
+#include "name.h"
 
-static double memory[(ARM_SIZE + 7) / 8];
+static double memory[(NAME_SIZE + 7) / 8];
 
 int main(void)
 {
     static const int shown[] = {
-        ARM_TIME, ARM_SHAFT, ARM_TIP_X, ARM_TIP_Y, ARM_TIP_TRANSVERSE};
+        NAME_TIME, NAME_SHAFT, NAME_TIP_X, NAME_TIP_Y, NAME_TIP_TRANSVERSE};
     const int count = sizeof shown / sizeof *shown;
-    arm *instance = (arm *)memory;
-    int code = arm_create(memory, sizeof memory);
+    name *instance = (name *)memory;
+    int code = name_create(memory, sizeof memory);
 $command
     for (int k = 0; k < count; ++k)
-        printf("%16s%s", arm_output_name(shown[k]), k + 1 < count ? " " : "\\n");
-    for (int row = 0; code == ARM_OK && row <= 20; ++row) {
-        double outputs[ARM_OUTPUTS];
-        arm_get_outputs(instance, outputs);
+        printf("%16s%s", name_output_name(shown[k]), k + 1 < count ? " " : "\\n");
+    for (int row = 0; code == NAME_OK && row <= 20; ++row) {
+        double outputs[NAME_OUTPUTS];
+        name_get_outputs(instance, outputs);
         for (int k = 0; k < count; ++k)
             printf("%16.9g%s", outputs[shown[k]], k + 1 < count ? " " : "\\n");
-        code = arm_step(instance, $steps);
+        code = name_step(instance, $steps);
     }
-    if (code != ARM_OK)
-        fprintf(stderr, "%s\\n", arm_error_text(code));
+    if (code != NAME_OK)
+        fprintf(stderr, "%s\\n", name_error_text(code));
     return code;
 }
 """
 
 _CMAKE = """\
 cmake_minimum_required(VERSION 3.16)
-project(arm C)
+project(name C)
 
-add_library(arm STATIC ${CMAKE_CURRENT_SOURCE_DIR}/arm.o)
-set_target_properties(arm PROPERTIES LINKER_LANGUAGE C)
-target_include_directories(arm INTERFACE ${CMAKE_CURRENT_SOURCE_DIR})
+add_library(name STATIC $${CMAKE_CURRENT_SOURCE_DIR}/name.o)
+set_target_properties(name PROPERTIES LINKER_LANGUAGE C)
+target_include_directories(name INTERFACE $${CMAKE_CURRENT_SOURCE_DIR})
 
 add_executable(main main.c)
-target_link_libraries(main arm)
+target_link_libraries(main name)
 """
 
+# The type NAME in the header, and variables of it in C and C++, cannot have these names.
+_TAKEN = frozenset(
+    """alignas alignof and and_eq asm auto bitand bitor bool break case catch char class compl
+    concept const consteval constexpr constinit const_cast continue co_await co_return co_yield
+    decltype default delete do double dynamic_cast else enum explicit export extern false float
+    for friend goto if inline int linux long mutable namespace new noexcept not not_eq nullptr
+    operator or or_eq private protected public register reinterpret_cast requires restrict return
+    short signed sizeof static static_assert static_cast struct switch template this thread_local
+    throw true try typedef typeid typename typeof typeof_unqual union unix unsigned using virtual
+    void volatile wchar_t while xor xor_eq
+    clearerr fclose feof ferror fflush fgetc fgetpos fgets fopen fprintf fputc fputs fread freopen
+    fscanf fseek fsetpos ftell fwrite getc getchar gets getline getdelim perror popen pclose printf
+    putc putchar puts remove rename rewind scanf setbuf setvbuf snprintf sprintf sscanf stderr
+    stdin stdout tmpfile tmpnam ungetc vfprintf vfscanf vprintf vscanf vsnprintf vsprintf vsscanf
+    main instance code memory shown count values outputs value input output parameter steps state
+    step size time clock signal div abs labs exit abort atexit free malloc calloc realloc qsort
+    rand srand system getenv index exp log sin cos tan sqrt pow floor ceil fabs read write open
+    close""".split())
 
-@checked(folder=PATH, estimate=FLAG)
-def export_c(scene: SceneLike, folder: Path | str, target: str = 'host',
-             estimate: bool = False) -> Path:
+
+@checked(folder=PATH, estimate=FLAG, name=TEXT)
+def export_c(scene: SceneLike, folder: Path | str, target: str = 'host', estimate: bool = False,
+             name: str = 'arm') -> Path:
     """
-    Write a scene as a C library: arm.h, arm.o, main.c and CMakeLists.txt.
+    Write a scene as a C library: NAME.h, NAME.o, main.c and CMakeLists.txt.
 
     The object file has the machine code of `Simulator`'s step, the constants of the scene, and
     plain C functions; it needs no other library. No compiler is needed to write it. For the
@@ -192,6 +213,8 @@ def export_c(scene: SceneLike, folder: Path | str, target: str = 'host',
     estimate : bool
         Whether a finer run is advanced beside, to estimate the error of the tip; doc/scene.md
         says what that costs.
+    name : str
+        First part of all names in C.
 
     Returns
     -------
@@ -210,24 +233,30 @@ def export_c(scene: SceneLike, folder: Path | str, target: str = 'host',
     'paper_in_c'
 
     """
-    return write_c(scene, folder, target, estimate)
+    return write_c(scene, folder, target, estimate, name)
 
 
 def write_c(scene: SceneLike, folder: Path | str, target: str = 'host', estimate: bool = False,
-            derivatives: bool = True) -> Path:
-    """Do what `export_c` does; without `derivatives` arm_step_derivatives is only declared."""
+            name: str = 'arm', derivatives: bool = True) -> Path:
+    """Do what `export_c` does; without `derivatives` NAME_step_derivatives is only declared."""
     scene, folder = load_scene(scene), Path(folder)
     if target not in ('host', *TARGETS):
         raise ParameterError(f'target must be host, {", ".join(TARGETS)}, got {short(target)}')
-    for file in ('arm.h', 'arm.o', 'main.c', 'CMakeLists.txt'):
+    if not re.fullmatch('[a-z][a-z0-9_]*', name):
+        raise ParameterError('name must be lower-case letters, digits and _, got '
+                             f'{short(name)}')
+    if name in _TAKEN or name.endswith('_t'):
+        raise ParameterError(f'name must be no word of C or its library, got {short(name)}')
+    for file in (f'{name}.h', f'{name}.o', 'main.c', 'CMakeLists.txt'):
         check_target(folder / file)
     refuse(scene, estimate)
-    made = library(scene, estimate, target, derivatives)
+    made = library(scene, estimate, target, name, derivatives)
     folder.mkdir(parents=True, exist_ok=True)
     for file, content in {
-            'arm.h': _header(made, scene.step, target).encode(), 'arm.o': made.content,
-            'main.c': _main(made.interface, scene.step).encode(),
-            'CMakeLists.txt': _CMAKE.encode()}.items():
+            f'{name}.h': _header(made, scene.step, target, name).encode(),
+            f'{name}.o': made.content,
+            'main.c': _main(made.interface, scene.step, name).encode(),
+            'CMakeLists.txt': _fill(_CMAKE, name).encode()}.items():
         with whole_file(folder / file) as path:
             path.write_bytes(content)
     return folder
@@ -253,28 +282,33 @@ def link(folder: Path | str, sources: list[str], exports: str) -> bytes:
     return Path(folder, 'linked.so').read_bytes()
 
 
-def _enum(quantities):
+def _fill(template, name, **words):
+    named = re.sub(r'\b(name|NAME)(?=\b|_)', lambda found: (
+        name if found[0] == 'name' else name.upper()), template)
+    return Template(named).substitute(words)
+
+
+def _enum(name, quantities):
     return '\n'.join(
-        f'    ARM_{each.title.upper()} = {number}, '
+        f'    {name.upper()}_{each.title.upper()} = {number}, '
         f'/* {each.meaning}{f" [{each.unit}]" if each.unit else ""} */'
         for number, each in enumerate(quantities))
 
 
-def _header(made, step, target):
+def _header(made, step, target, name):
     inputs, outputs, parameters, _ = made.interface
-    return Template(_HEADER).substitute(
-        version=__version__, target=target, step=repr(step), size=made.size, saved=made.saved,
-        inputs=len(inputs), outputs=len(outputs), parameters=len(parameters),
-        codes=_enum([Quantity(code.name, '', TEXTS[code]) for code in Code]),
-        input_list=_enum(inputs), output_list=_enum(outputs), parameter_list=_enum(parameters),
-        motion=made.motion, drawn=DRAWN)
+    return _fill(
+        _HEADER, name, version=__version__, target=target, step=repr(step), size=made.size,
+        saved=made.saved, inputs=len(inputs), outputs=len(outputs), parameters=len(parameters),
+        codes=_enum(name, [Quantity(code.name, '', TEXTS[code]) for code in Code]),
+        input_list=_enum(name, inputs), output_list=_enum(name, outputs),
+        parameter_list=_enum(name, parameters), motion=made.motion, drawn=DRAWN)
 
 
-def _main(interface: Interface, step: float) -> str:
+def _main(interface: Interface, step: float, name: str) -> str:
     # A tenth of a second or at least a step a row; a torque, where it does anything.
     torque = any(each.title == 'torque' for each in interface.inputs)
-    command = ('    if (code == ARM_OK)\n'
-               '        code = arm_set_input(instance, ARM_TORQUE, 1.0);') if torque else ''
-    return Template(_MAIN).substitute(
-        command=command, steps=max(1, round(0.1 / step)),
-        under=' under a torque of 1 N m' if torque else '')
+    command = ('    if (code == NAME_OK)\n'
+               '        code = name_set_input(instance, NAME_TORQUE, 1.0);') if torque else ''
+    return _fill(_MAIN, name, command=_fill(command, name), steps=max(1, round(0.1 / step)),
+                 under=' under a torque of 1 N m' if torque else '')

@@ -107,7 +107,7 @@ def export_fmu(scene: SceneLike, path: Path | str, version: int = 3, estimate: b
             path.stem, token, scene.step, variables)
 
     with TemporaryDirectory() as folder:
-        write_c(scene, folder, target, estimate, derivatives=False)
+        write_c(scene, folder, target, estimate, _NAME, derivatives=False)
         files = {file: Path(folder, file).read_bytes() for file in (f'{_NAME}.h', f'{_NAME}.o')}
         files |= {file: Path(__file__).with_name(file).read_bytes()
                   for file in ('fmi.h', f'fmi{version}.c')}

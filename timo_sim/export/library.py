@@ -117,9 +117,10 @@ class _Body:
     constants are symbols, so that a page can put those of another scene in their place.
     """
 
-    def __init__(self, models: list[_Model], interface: Interface, wasm: bool) -> None:
+    def __init__(self, models: list[_Model], interface: Interface, name: str,
+                 wasm: bool) -> None:
         self.module, self.wasm = ir.Module(), wasm
-        self.models, self.interface = models, interface
+        self.models, self.interface, self.name = models, interface, name
         self.builder: Any = None
         self.offsets = [0, models[0].length]
         self.size = sum(model.length for model in models)
@@ -128,7 +129,7 @@ class _Body:
     @property
     def symbols(self):
         """Constants by the names of their symbols."""
-        return {f'arm_constants_{number}': key for key, number in self._keys.items()
+        return {f'{self.name}_constants_{number}': key for key, number in self._keys.items()
                 if isinstance(key, tuple)}
 
     # Pieces of code.
@@ -142,13 +143,13 @@ class _Body:
             made = ir.GlobalVariable(self.module, kind, name)
             made.initializer, made.align = ir.Constant(kind, content), align
             made.global_constant = not self.wasm
-            made.linkage = '' if name.startswith('arm_') else 'internal'
+            made.linkage = '' if name.startswith(f'{self.name}_') else 'internal'
         return self.module.globals[name]
 
     def content(self, key, content, align=None):
         """Return the place of bytes; equal keys have the same place."""
         number = self._keys.setdefault(key, len(self._keys))
-        name = (f'arm_constants_{number}' if self.wasm and isinstance(key, tuple) else
+        name = (f'{self.name}_constants_{number}' if self.wasm and isinstance(key, tuple) else
                 f'bytes.{number}')
         return self.constant(name, ir.ArrayType(ir.IntType(8), len(content)),
                              bytearray(content), align)
@@ -346,7 +347,7 @@ class _Body:
 
     def public(self, name, *kinds):
         """Begin a function of the interface, which checks its instance and other pointers."""
-        instance, *arguments = self.function(f'arm_{name}', _INT, _POINTER, *kinds)
+        instance, *arguments = self.function(f'{self.name}_{name}', _INT, _POINTER, *kinds)
         for each in (instance, *arguments):
             if each.type == _POINTER:
                 self.fail_if(self.is_null(each), Code.NULL_POINTER)
@@ -411,9 +412,9 @@ class _Body:
     def define_memory(self):
         size_t = _INT if self.wasm else _WORD
         needed = ir.Constant(size_t, self.size)
-        self.function('arm_size', size_t)
+        self.function(f'{self.name}_size', size_t)
         self.builder.ret(needed)
-        memory, size = self.function('arm_create', _INT, _POINTER, size_t)
+        memory, size = self.function(f'{self.name}_create', _INT, _POINTER, size_t)
         self.fail_if(self.is_null(memory), Code.NULL_POINTER)
         self.fail_if(self.misaligned(memory), Code.BAD_MEMORY)
         self.fail_if(self.builder.icmp_unsigned('<', size, needed), Code.BAD_MEMORY)
@@ -492,7 +493,7 @@ class _Body:
                 ('output_unit', [each.unit for each in self.interface.outputs]),
                 ('parameter_name', [each.title for each in self.interface.parameters]),
                 ('parameter_unit', [each.unit for each in self.interface.parameters])):
-            number, = self.function(f'arm_{name}', _POINTER, _INT)
+            number, = self.function(f'{self.name}_{name}', _POINTER, _INT)
             self.return_if(self.builder.icmp_unsigned(
                 '>=', number, ir.Constant(_INT, len(texts))), self.text('unknown'))
             self.builder.ret(self.element(
@@ -540,24 +541,25 @@ class Library(NamedTuple):
                         for group in self.constants.values() for own in group)
 
 
-def library(scene: Scene, estimate: bool, target: str, derivatives: bool = True) -> Library:
+def library(scene: Scene, estimate: bool, target: str, name: str,
+            derivatives: bool = True) -> Library:
     """
     Return the object file of a scene and, to estimate its error, its finer run.
 
     `derivatives` says whether those of a step are there. For `target` see
-    `compiled.machine.target_machine`.
+    `compiled.machine.target_machine`; names of functions begin with `name`.
     """
     target_machine, interface = machine.target_machine(target), interface_of(scene, estimate)
     models = [_Model(each, number, target, interface)
               for number, each in enumerate(simulators_of(scene, estimate))]
-    body = _Body(models, interface, target.startswith('wasm32'))
+    body = _Body(models, interface, name, target.startswith('wasm32'))
     module = llvm.parse_assembly(str(body.write(derivatives)))
     module.triple = str(target_machine.triple)
     module.data_layout = str(target_machine.target_data)
     for each in [part for model in models for part in model.modules]:
         module.link_in(each)
     for function in module.functions:
-        if not function.is_declaration and not function.name.startswith('arm_'):
+        if not function.is_declaration and not function.name.startswith(f'{name}_'):
             function.linkage = 'internal'
     return Library(content=target_machine.emit_object(module), interface=interface,
                    size=body.size, saved=sum(model.saved for model in models),

@@ -111,7 +111,7 @@ def link_wasm(content: bytes) -> bytes:
 
 def _scene(name: str, scene: Scene, estimate: bool) -> dict[str, Any]:
     """Return what the page knows of a scene."""
-    made = library(scene, estimate, TARGET, False)
+    made = library(scene, estimate, TARGET, 'arm', False)
     interface, (tables, sliders, loops) = made.interface, _stations(scene, estimate, made)
     values, body, (along, _, meant) = scene.values, body_of(scene), (
         inaccurate(scene, 1.0, 0.0) or '').partition('1 m')
