@@ -88,7 +88,7 @@ def rows():
     scene = paper()
     prepared = Prepared(scene)
     compiled = timed(lambda: prepared.run(every=1), units=1)
-    return [*found, exported(), in_an_fmu(), differentiated(), (
+    return [*found, exported(), in_an_fmu(), differentiated(), observed(), (
         '10 s of the paper, 10 ms, every step sampled', '2 ms', compiled.shown(1e-3, 'ms'),
         compiled.middle <= 2e-3, 'the compiled part')]
 
@@ -169,6 +169,18 @@ def differentiated():
     ratio = found.middle / alone.middle
     return ('derivatives of a step of `exact`, N = 3, by its motion and 3 inputs', '10 steps',
             found.shown(), ratio <= 10.0, f'as long as {ratio:.1f} steps')
+
+
+def observed():
+    """Return the row of an observer of an arm on a bench, which sees encoder and strain gauge."""
+    scene, count = paper().vary({'carrier.held': 'both', 'sensor.encoder.noise': 1e-4,
+                                 'sensor.root_strain.noise': 1e-6}), 100
+    observer = timo_sim.observer(scene, sensors=['encoder', 'root_strain'])
+    shown = {name: float(observer.expected(name)[0]) for name in ('encoder', 'root_strain')}
+    time = timed(lambda: [observer.update(shown, {'torque': 0.0}, scene.step)
+                          for _ in range(count)], units=count)
+    return ('an update of an observer, N = 3, by encoder and strain gauge', '30 us', time.shown(),
+            time.middle <= 30e-6, 'one step of 10 ms, its derivatives, and the correction')
 
 
 def exponent(x, y):

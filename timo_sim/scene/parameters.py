@@ -101,6 +101,11 @@ class Parameter:
         A whole number is accepted for a float, and so is a text like '70.5e9', which is how YAML
         1.1 reads a number without a sign in the exponent.
         """
+        if type(value) is float and self.low < value < self.high:  # the most frequent case
+            if isinstance(self.default, float):
+                return value
+            if isinstance(self.default, tuple) and self.alone:
+                return (value,)
         try:
             if isinstance(self.default, tuple):
                 if value is None:  # ROS reads an empty list as no value
