@@ -119,6 +119,8 @@ def suspects(objective: Objective, x: np.ndarray, jacobian: np.ndarray,
                 factors, *_ = np.linalg.lstsq(columns, -left, rcond=1e-9)
                 rest, possible = left + columns @ factors, effect.low < 0.0 or factors[0] >= 0.0
                 share = float(1.0 - (rest @ rest) / (left @ left)) if possible else 0.0
+                if effect.bends and not possible:
+                    factors = np.ones(len(sizes))  # it begins as it was tried
                 of_trials.append((share, effect, np.append(
                     np.maximum(factors, effect.low) * sizes, effect.shape)))
         tried += sorted(of_trials, key=lambda each: -each[0])[:1]
@@ -212,7 +214,7 @@ def _effects(objective: Objective, x: np.ndarray) -> Iterator[_Effect]:
         stiff = _STIFF / own['motor.shaft_inertia'] * step**2
         if not own['motor.gear.stiffness']:
             soft = [[_TWIST / forces[2]]] if forces[2] else []
-            yield _Effect('an elastic gear', _GEAR, [[stiff], *soft], change=_gear,
+            yield _Effect('an elastic gear', _GEAR, [*soft, [stiff]], change=_gear,
                           shape=[0.1, 1.0], bends=True)
         yield _Effect(
             'backlash of the gear',
