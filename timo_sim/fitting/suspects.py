@@ -39,7 +39,6 @@ _EXCESS = 0.1, 0.4, 1.0  # of the largest value of an input over its limit, rela
 _REST = 0.02, 0.1, 0.5  # speeds over which friction builds up, of that of the body
 _FACTORS = -5.0, 5.0  # logarithms of factors of such a speed, to which they are tried
 _STIFF = 5.0  # compliance of a gear that is tried, in step**2 / inertia of the shaft
-_TWIST = 0.05  # of a soft gear under the usual torque [rad]
 _INNER = 2.0 / 3.0  # part of what is fitted to which suspects are fitted; the rest judges them
 BETTER = 0.9  # ratio of errors there, below which a suspect predicts better
 _FINE = 1e-3  # error, of the spread of an output, below which others count for more
@@ -119,8 +118,6 @@ def suspects(objective: Objective, x: np.ndarray, jacobian: np.ndarray,
                 factors, *_ = np.linalg.lstsq(columns, -left, rcond=1e-9)
                 rest, possible = left + columns @ factors, effect.low < 0.0 or factors[0] >= 0.0
                 share = float(1.0 - (rest @ rest) / (left @ left)) if possible else 0.0
-                if effect.bends and not possible:
-                    factors = np.ones(len(sizes))  # it begins as it was tried
                 of_trials.append((share, effect, np.append(
                     np.maximum(factors, effect.low) * sizes, effect.shape)))
         tried += sorted(of_trials, key=lambda each: -each[0])[:1]
@@ -136,8 +133,8 @@ def suspects(objective: Objective, x: np.ndarray, jacobian: np.ndarray,
             with_it, sizes = predict(objective, x, effect, sizes)
             ratio = with_it / error
             share = max(0.0, 1.0 - ratio**2)
-        found.append(Suspect(
-            effect.name, share, effect.advice(own, sizes), ratio, effect, sizes))
+        found.append(Suspect(effect.name, share, effect.advice(own, sizes), ratio=ratio,
+                             effect=effect, sizes=sizes))
     return sorted((each for each in found if each.share), key=lambda each: -each.share)
 
 
@@ -213,9 +210,8 @@ def _effects(objective: Objective, x: np.ndarray) -> Iterator[_Effect]:
     if own['motor.shaft'] == 'free' and not own['motor.gear.backlash']:
         stiff = _STIFF / own['motor.shaft_inertia'] * step**2
         if not own['motor.gear.stiffness']:
-            soft = [[_TWIST / forces[2]]] if forces[2] else []
-            yield _Effect('an elastic gear', _GEAR, [*soft, [stiff]], change=_gear,
-                          shape=[0.1, 1.0], bends=True)
+            yield _Effect('an elastic gear', _GEAR, [[stiff]], change=_gear, shape=[0.1, 1.0],
+                          bends=True)
         yield _Effect(
             'backlash of the gear',
             ['motor.gear.backlash', *([] if own['motor.gear.stiffness'] else _GEAR)],
