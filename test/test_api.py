@@ -13,7 +13,6 @@ import pytest
 import yaml
 
 import timo_sim
-from timo_sim.log.read import LogError
 
 NAMES = [name for name in timo_sim.__all__ if not name.startswith('__')]
 FUNCTIONS = [name for name in NAMES if name.islower()]
@@ -133,7 +132,7 @@ def test_a_run_is_saved_and_opened(run, tmp_path):
     frame = run.to_pandas()
     assert np.array_equal(frame['shaft_rad'], run.shaft) and frame.index.name == 'time_s'
     path = run.save(tmp_path / 'run.parquet')
-    with pytest.raises(LogError) as error:
+    with pytest.raises(FileExistsError) as error:
         run.save(path)
     assert str(error.value) == f'{path} exists: remove it or choose another name'
 

@@ -245,7 +245,7 @@ class Run(MotionFields, PointsOfArm):
 
         `*.mcap` is a log, as the node writes it, which `timo_sim.open_log` reads; `*.parquet` or
         `*.csv` is a table. Existing logs are never overwritten; `_1`, `_2`, ... is appended. An
-        existing table is a LogError.
+        existing table is a FileExistsError.
         """
         from timo_sim.log.new_log import NewLog
         from timo_sim.log.tables import check_table, write_table
