@@ -151,6 +151,17 @@ def test_what_a_record_says_is_told_before_the_search():
                for line in page.splitlines())
 
 
+def test_an_angle_that_wraps_is_told_before_the_search():
+    measured = record({'initial.shaft': 3.1})
+    shaft = measured.outputs['shaft']
+    measured.outputs['shaft'] = shaft._replace(
+        values=(shaft.values + np.pi) % (2.0 * np.pi) - np.pi)
+    page = fit(measured, ['motor.viscous_friction'], quick=True).look
+    assert any(line.startswith('shaft jumps by 6.2') for line in page)
+    assert not any(' jumps ' in line for line in fit(record(), ['motor.viscous_friction'],
+                                                     quick=True).look)
+
+
 @pytest.mark.parametrize('made, kept', [
     ({}, []), ({'motor.coulomb_presliding': 0.02, 'motor.coulomb_static': 0.6},
                ['presliding of the motor, which rests as on a spring'])])

@@ -22,6 +22,7 @@ from timo_sim.topics.commands import JOINTS
 _FIRST, _STILL = 15, 5.0  # samples at the beginning; deviations of noise up to which one is still
 _ELSEWHERE, _FAST = 0.02, 0.3  # of range and usual speed: from there on it begins otherwise
 _GAP = 1.8  # periods from one sample to the next that are a gap
+_JUMP, _SMOOTH = 0.5, 0.01  # of the range within three samples: least of a jump, most of others
 _LEVELS, _AT_END = 10, 0.02  # least values of what is clipped, least part of samples at an end
 _LATE, _BETTER = 3, 0.5  # samples; what a delay leaves of 1 - correlation, at most
 _PARTS, _PROMINENCE, _APART = 4, 1.0, 0.1  # of spectra: parts; log of a peak; relative distance
@@ -98,6 +99,11 @@ def _of_channel(name, channel, start):
         longest = gaps[np.argmax(apart[gaps])]
         yield (f'{name} has {len(gaps)} gaps, the longest of {apart[longest]:.3g} s at '
                f'{t[longest]:.4g} s: there nothing is compared, and inputs stay as they are')
+    ways = np.abs(values[3:] - values[:-3])
+    jumps = np.flatnonzero(ways > _JUMP * np.ptp(values))
+    if start is not None and len(jumps) and np.median(ways) < _SMOOTH * np.ptp(values):
+        yield (f'{name} jumps by {ways.max():.3g} {unit}, first at {t[jumps[0] + 1]:.4g} s: an '
+               'angle that wraps, or wrong samples; mend them before the fit')
     levels = np.unique(values)
     steps = np.diff(levels)
     if start is not None and 0 < len(steps) < 0.5 * len(values) and np.allclose(
