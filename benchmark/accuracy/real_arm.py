@@ -41,7 +41,7 @@ SHORT = 0.1  # time in which a way of the shaft is one way [s]
 BACK = 0.25  # part of all ways in the lesser direction, above which the shaft moves in both
 FACTOR = 10.0  # to which a first guess is right
 SECONDS = 180  # that a blind fit may take
-SCORES = ROOT / 'doc' / 'real_arm' / 'scores.json'
+SCORES, BLIND_SCORES = (ROOT / 'doc' / 'real_arm' / f'{name}.json' for name in ('scores', 'blind'))
 # The first lines of a command's file.
 HEAD = ('#!/bin/sh\n# The fit of doc/real_arm.md, in the folder of the records, with a link to '
         'example/ in it.\n')
@@ -533,7 +533,7 @@ def section(case):
 
 def blind(quick):
     """Fit records that nobody had fitted, by `--auto` alone, and return what was held out."""
-    rows = []
+    rows, scored = [], {}
     for case in BLIND:
         parts, began = parts_of(case), process_time()
         others = [parts[1][0]] if case.other else []
@@ -542,6 +542,7 @@ def blind(quick):
             time=SECONDS, hold_out=0.0 if others else HOLD_OUT, hold_out_records=others)
         used, held = process_time() - began, (found.more or [found])[-1]
         rivals = textbook(case, parts), black_box(case, parts)[0]
+        scored[case.name] = {name: each.hold_out_r_squared for name, each in held.errors.items()}
         for name, errors in held.errors.items():
             rows.append([case.lab, name, in_words(errors.hold_out_r_squared), *(
                 in_words(each[name][1]) for each in rivals), f'{used:.0f} s'])
@@ -552,6 +553,7 @@ def blind(quick):
         script.write_text(f'{HEAD}{fit_of(case)} \\\n    --auto --quick --time {SECONDS} '
                           '-o fitted.yaml --png fit.png "$@"\n', encoding='utf-8')
         script.chmod(0o755)
+    BLIND_SCORES.write_text(json.dumps(scored, indent=1) + '\n', encoding='utf-8')
     return table(['record', 'R^2, held out, of', '`--auto`', 'textbook', 'black box',
                   'processor time'], rows)
 
