@@ -11,8 +11,6 @@ import pytest
 import yaml
 
 import timo_sim
-from timo_sim.fitting.problem import Problem
-from timo_sim.fitting.start import from_record
 
 PERIOD, DURATION = 0.004, 2.0
 T = PERIOD * np.arange(round(DURATION / PERIOD) + 1)
@@ -73,16 +71,6 @@ def test_a_fit_finds_the_truth_from_a_wrong_guess():
     assert all(float(after) <= float(before) for _, before, after, _ in starts)
     times = [float(text.partition(' s: ')[0]) for text in told]
     assert times == sorted(times)
-
-
-def test_what_a_record_suggests_is_near_the_truth():
-    """The balance of a driven shaft, however wrong the guess is that a run would begin with."""
-    guess = wrong(1 / 9.0, 3.0, 1 / 3.0, 1 / 3.0)
-    problem = Problem(guess, made(SQUARE, 1), [*TRUTH], {}, DURATION)
-    found = from_record(problem, {name: guess.values[name] for name in TRUTH})
-    # The spline through the noisy angle makes the acceleration, and so the inertia, too small.
-    assert [found[name] / value for name, value in TRUTH.items()] == pytest.approx(
-        np.ones(4), abs=0.25)
 
 
 def test_another_set_of_parameters_that_fits_as_well_is_told():

@@ -364,10 +364,6 @@ class Problem:
             raise ParameterError('nothing moves the arm: the record has no input, and the scene '
                                  'no load, no motion at the beginning, no gravity and no spring')
 
-    def values(self, x: np.ndarray) -> dict[str, float]:
-        """Return the values of the free parameters, by name, for coordinates of the fit."""
-        return {free.name: free.value(each) for free, each in zip(self.free, x)}
-
     def scene_of(self, values: Mapping[str, float]) -> Scene:
         """
         Return the scene with free values, without the record's loads.

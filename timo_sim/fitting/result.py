@@ -354,8 +354,8 @@ def fit(scene: SceneLike | None, record: RecordLike | Sequence[RecordLike],
         Which column of a table is which quantity, see doc/fit.md; or a list with one for each
         record, those that are held out at the end.
     starts : int, optional
-        How many starts are tried: the scene's values, what each record itself suggests, and
-        points around that. By default up to 16, until the minimum is good or found again.
+        How many starts are tried: the scene's values, and points around them. By default up to 16,
+        until the minimum is good or found again.
     hold_out_records : list of Record, str or Path
         Records that are not fitted but predicted, without biases and with the scene's initial
         state.

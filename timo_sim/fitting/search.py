@@ -15,7 +15,6 @@ from scipy.optimize import least_squares
 
 from timo_sim.fitting.objective import CENTRAL, Objective
 from timo_sim.fitting.problem import TimeIsUp, whiteness
-from timo_sim.fitting.start import from_record
 
 _WIDE = 1e-3  # step of differences beside CENTRAL
 _MAX_DIFFERENCE = 0.3  # relative difference of derivatives by two steps, above which a run jumps
@@ -49,7 +48,7 @@ _HARDLY_WHITE = 1e-6  # probability of residuals as correlated, above which a mi
 _MAX_UNEXPLAINED = 0.05, 0.2, 0.5, math.inf
 _MAX_STARTS, _FEW_STARTS = 16, 4
 _NEAR = 0.1  # distance in coordinates of the fit within which two ends are one
-_SPREAD = 6.0  # factor by which starts differ from what the record suggests
+_SPREAD = 6.0  # factor by which starts differ from the first guess
 INTERRUPTED = 'it was interrupted'
 
 
@@ -220,21 +219,14 @@ class Search:
                 objective.split(objective.residuals(x)), objective.series()))
 
     def _starts(self, count: int) -> Iterator[np.ndarray]:
-        """Yield x of the first guess, of what records suggest, and of points around that."""
+        """Yield x of the first guess, and of points around it."""
         objective = self.objective
-        guess = around = self.first
-        yield guess
-        for k, problem in enumerate(objective.problems[:count - 1]):
-            around = guess.copy()
-            suggested = from_record(problem, objective.values(guess, k))
-            for free, place in zip(problem.free, objective.places[k]):
-                around[place] = objective.free[place].coordinate(suggested[free.name])
-            yield around
+        yield self.first
         # A Latin hypercube: each parameter has each of its values once.
-        random, grid = np.random.default_rng(0), np.linspace(
-            -math.log(_SPREAD), math.log(_SPREAD), max(count - 1 - len(objective.problems), 0))
-        for shift in np.stack([random.permutation(grid) for _ in guess], axis=1):
-            yield around + np.where([free.log for free in objective.free], shift, 0.0) * (
+        random = np.random.default_rng(0)
+        grid = np.linspace(-math.log(_SPREAD), math.log(_SPREAD), count - 1)
+        for shift in np.stack([random.permutation(grid) for _ in self.first], axis=1):
+            yield self.first + np.where([free.log for free in objective.free], shift, 0.0) * (
                 np.minimum(objective.widths, 1.0))
 
     def _solve(self, accuracy, x, objective=None):
