@@ -47,7 +47,8 @@ SCENE = {
     'carrier.held': 'both', 'initial.shaft': 0.0, 'integrator.step': STEP,
     'motor.shaft_inertia': 2e-3, 'motor.viscous_friction': 0.02, 'motor.coulomb_friction': 0.03,
     'motor.dc.resistance': 2.6, 'motor.dc.torque_constant': 0.0077, 'motor.dc.gear_ratio': 70.0,
-    'end_effector.mass': 0.05, 'end_effector.inertia': 1e-5}
+    'end_effector.mass': 0.05, 'end_effector.inertia': 1e-5,
+    'model.static_modes': 'none'}  # whatever the first guess of the tip's mass is
 # First guesses, as factors of the truth.
 GUESSES = {'arm.young_modulus': 0.75, 'end_effector.mass': 1.3, 'arm.damping_ratio': 0.6,
            'motor.viscous_friction': 3.0, 'motor.coulomb_friction': 0.4,
