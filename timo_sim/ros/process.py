@@ -15,7 +15,6 @@ import rclpy
 from rclpy.exceptions import NameValidationException, ParameterException
 from rclpy.executors import ExternalShutdownException
 from rclpy.signals import SignalHandlerOptions
-from rclpy.utilities import remove_ros_args
 
 from timo_sim.ros.private import Executor, RCLError
 from timo_sim.scene.files import is_for, read_sections
@@ -42,6 +41,17 @@ def use_profiles() -> None:
             or any(name in os.environ for name in users)):
         os.environ.update({_PROFILES: str(Path(__file__).with_name('fastdds.xml')),
                            _USE_PROFILES: '1'})
+
+
+def _not_for_ros(arguments):
+    # As rclpy's remove_ros_args does, which would read all parameter files once more.
+    found, for_ros = [], False
+    for argument in arguments:
+        if for_ros or argument == '--ros-args':
+            for_ros = argument != '--'
+        else:
+            found.append(argument)
+    return found
 
 
 def _refuse(error, code=2):
@@ -89,7 +99,7 @@ def run(stop: Any, args: list[str] | None, make: Callable[..., Any]) -> int:
                 # This also refuses names that are there twice, which rcl accepts.
                 files[file] = read_sections(file)
         rclpy.init(args=args, signal_handler_options=SignalHandlerOptions.NO)
-        for argument in remove_ros_args(given)[args is None:]:
+        for argument in _not_for_ros(given)[args is None:]:
             raise ParameterError(f'{argument!r} must be inside of --ros-args, as in '
                                  '--ros-args -p duration:=10.0; --help says more')
     except (ParameterError, RuntimeError, UnicodeError) as error:  # arguments, or a file

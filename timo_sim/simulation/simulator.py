@@ -330,16 +330,12 @@ class Simulator(Stateful, PointsOfArm):
         It needs derivatives: raises ParameterError if a load is picked up at rest in these steps.
         """
         with self._lock:
-            samples = self.integration.samples(0, 0)
-            if not count:
-                advance(self._state, self._load, NO_LOADS, samples, 0)
-            elif (self._next_tip < self.steps - self._origin + count
+            if (self._next_tip < self.steps - self._origin + count
                     and self.scene.values['end_effector.pick_up'] == 'at_rest'):
                 raise ParameterError(
                     'derivatives of steps need end_effector.pick_up = moving, but a load is '
                     f'picked up at rest at step {self._next_tip}')
-            else:
-                self._advance(count, commanded, samples, advance)
+            self._advance(count, commanded, self.integration.samples(0, 0), advance)
 
     def set_motion(self, motion: Motion | ArrayLike) -> None:
         """
@@ -388,6 +384,9 @@ class Simulator(Stateful, PointsOfArm):
 
     def _advance(self, count, commanded, samples, advance=None):
         # After a DivergenceError the samples have what they should until the last good step.
+        if not count:  # no step samples the start, if it is to be sampled
+            (advance or self.integration.advance)(
+                self._state, self._load, NO_LOADS, samples, 0)
         before = (self._state.copy(), self._load.copy(), self.integration.memory.copy(),
                   self.tip_load, self.model, self.integration)
         first, done = self.steps - self._origin, 0
