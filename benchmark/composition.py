@@ -21,11 +21,13 @@ import subprocess
 import sys
 import tempfile
 from typing import NamedTuple
+from unittest.mock import patch
 import warnings
 
 import numpy as np
 
 from benchmark.report import make_page, table
+from oracles.processor import Processor
 import timo_sim
 from timo_sim.export.c import link, write_c
 from timo_sim.export.constants import interface_of
@@ -34,6 +36,7 @@ from timo_sim.export.ros2_control import write_hardware
 from timo_sim.runs.sweep import run_lanes
 from timo_sim.scene.files import scene_text
 from timo_sim.scene.parameters import NODE, PARAMETERS
+from timo_sim.simulation.batch import DEVICES
 from timo_sim.simulation.finer import tip_distances
 
 # Tolerances of cells are some ten times the errors of the differences, steps or linear models that
@@ -214,6 +217,18 @@ def batch(scene):
     run_lanes([scene] * 2, 10)
 
 
+def gpu(scene):
+    """The kernel of a GPU, compiled for the CPU, gives the bits of a Batch on the CPU."""
+    scenes, found = [scene, scene.vary({'initial.shaft': 0.5})], []
+    with patch.dict(DEVICES, cuda=Processor):
+        for device in 'cpu', 'cuda':
+            lanes = timo_sim.Batch(scenes, device=device)
+            lanes.step(duration=DURATION, **commands(scene))
+            found.append(lanes.motion.values)
+    assert (found[0] == found[1]).all()
+    close(found[0][0], expected(scene)[-1], 1e-9)
+
+
 def gym(scene):
     """An environment moves as a Simulator under the same torque."""
     from timo_sim.gym import ReachVectorEnv
@@ -360,9 +375,10 @@ def sensitivities(scene):
 
 
 USES = {'Simulator': simulator, 'node': node, 'replay': replay, 'estimate of the error': estimate,
-        'Batch, sweeps in lanes': batch, 'gym': gym, '`linearize`, `modes`': linear,
-        'derivatives of a step': derivatives, 'observer': observer, 'C, FMU': c_and_fmu,
-        'ros2_control': ros2_control, 'fit': fit, 'sensitivities': sensitivities}
+        'Batch, sweeps in lanes': batch, 'Batch on a GPU': gpu, 'gym': gym,
+        '`linearize`, `modes`': linear, 'derivatives of a step': derivatives, 'observer': observer,
+        'C, FMU': c_and_fmu, 'ros2_control': ros2_control, 'fit': fit,
+        'sensitivities': sensitivities}
 PAIRED = {'S': simulator, 'B': batch, 'D': derivatives}
 
 

@@ -198,7 +198,7 @@ class Batch(Stateful):
             raise ParameterError('scenes must have at least one element, got none')
         self.n = len(self.scenes)
         self.scenes = _with_equal_shapes(self.scenes)
-        _check(self.scenes, device)
+        _check(self.scenes)
         kinds = list({id(scene): scene for scene in self.scenes}.values())
         places = {id(scene): k for k, scene in enumerate(kinds)}
         which = np.array([places[id(scene)] for scene in self.scenes])
@@ -269,7 +269,7 @@ class Batch(Stateful):
     @property
     def friction_heat(self) -> np.ndarray:
         """Energy that dry friction has taken, as in `Run.friction_heat`, shape (n,) [J]."""
-        return self._rows('memory')[:, HEAT]
+        return self._rows('friction')[:, HEAT]
 
     def reason(self, number: int) -> str:
         """Return why a manipulator has failed, as the text of a DivergenceError, or ''."""
@@ -302,8 +302,9 @@ class Batch(Stateful):
                 self._set_model(number, self.scenes[number].build())
         states, memory = self._start_of(rows, motions) if motion is not None else (
             each[self._which[rows]] for each in self._at_start)
-        for field, new in ((lanes.state, states), (lanes.motion, motions), (lanes.memory, memory),
-                           (lanes.progress, np.tile([1.0, 0.0], (len(rows), 1)))):
+        for field, new in (
+                (lanes.state, states), (lanes.motion, motions), (lanes.friction, memory),
+                (lanes.progress, np.tile([1.0, 0.0], (len(rows), 1)))):
             every = from_lanes(field, self.n)
             every[rows] = lanes.xp.asarray(new)
             field[:] = to_lanes(every, lanes.width)
@@ -423,10 +424,11 @@ class Batch(Stateful):
                    + scene.payloads[tip.changes][0] <= now and not self.failed[number]):
                 load = scene.payloads[tip.changes][1:]
                 model = scene.build(load)
-                tip, motion = tip.replaced(load, scene, model, lanes.motion[place])
+                tip, motion = tip.replaced(load, scene, model, lanes.host(lanes.motion[place]))
                 tip = tip._replace(changes=tip.changes + 1)
                 self._set_model(number, model)
-                lanes.state[place], lanes.motion[place] = model.state(motion), motion
+                for field, new in (lanes.state, model.state(motion)), (lanes.motion, motion):
+                    field[place] = lanes.xp.asarray(new)
             self._tips[number] = tip
             if tip.changes < len(scene.payloads):
                 due = self._loads.origin[number] + scene.payloads[tip.changes][0]
@@ -449,22 +451,14 @@ def _with_equal_shapes(scenes):
     return [made[id(scene)] for scene in scenes]
 
 
-def _check(scenes, device):
+def _check(scenes):
     """Raise ParameterError for scenes that a batch cannot do."""
     wanted = lane_size(scenes[0])
     for number, scene in enumerate(scenes):
         if scene is scenes[0] and number:
             continue
-        on_gpu, values, refused = device != 'cpu', scene.values, ''
-        if values['model.accuracy']:
-            refused = f'model.accuracy = {values["model.accuracy"]}'
-        elif on_gpu and scene.payloads:
-            refused = f'payload.time = {values["payload.time"]}'
-        elif on_gpu and scene.build().sectors:
-            refused = f'carrier.held = {values["carrier.held"]}, for a shaft that turns,'
-        if refused:
-            raise ParameterError(f'{refused} is not possible in a Batch'
-                                 + f" with device = '{device}'" * on_gpu)
+        if accuracy := scene.values['model.accuracy']:
+            raise ParameterError(f'model.accuracy = {accuracy} is not possible in a Batch')
         for name, value in lane_size(scene).items():
             if value != wanted[name]:
                 raise ParameterError(f'{name} must be the same in all scenes of a Batch, got '

@@ -52,8 +52,11 @@ class Plan(NamedTuple):
     tips: int
 
 
+_TABLES, _MATRICES, _BRISTLES, _LANE, _PLAN = range(5)  # parts of the constants of a call
+
+
 class LaneSteps:
-    """
+    """""
     Equal steps of n models of one size, in groups of WIDTH.
 
     The models are of one class, with tables of the same shapes and the same free coordinates. A
@@ -61,8 +64,8 @@ class LaneSteps:
     (n, 4, 5), are `Scene.bristles` of each. `alike` says that lanes with the same model may share
     its constants, so that none can be changed.
 
-    `constant_load`, `state`, `memory`, `progress`, `motion` and `tip` are fields of `Lane`, arrays
-    of shape (groups, ..., WIDTH). `xp` is the library of these arrays.
+    `constant_load`, `state`, `friction`, `progress`, `motion` and `tip` are fields of `Lane`,
+    arrays of shape (groups, ..., WIDTH). `xp` is the library of these arrays.
     """
 
     width, xp = WIDTH, np
@@ -106,10 +109,16 @@ class LaneSteps:
         packed = pack_all(Bristles._make(bristles_of(models, step, np.array(bristles))))
         return tables, matrices, packed, lane, pack(Plan(*7 * [0]))
 
+    def _fields(self, part):
+        # Arrays of all groups, by name, of a part of the constants in which lanes differ.
+        return {name: view for name, view in self._constants[part].views.items()
+                if view.dtype == float}  # whole numbers are those of all lanes
+
     def _name_fields(self):
-        *_, lane, self._plan = self._constants
-        self.constant_load, self.state, self.memory = lane.constant_load, lane.state, lane.friction
-        self.progress, self.motion, self.tip = lane.progress, lane.motion, lane.tip
+        lane = self._fields(_LANE)
+        self.constant_load, self.state = lane['constant_load'], lane['state']
+        self.friction, self.progress = lane['friction'], lane['progress']
+        self.motion, self.tip = lane['motion'], lane['tip']
 
     def __setstate__(self, state: dict[str, Any]) -> None:
         self.__dict__.update(state)
@@ -147,16 +156,17 @@ class LaneSteps:
         for k in range(max(1, varying.shape[1] - 1)):
             self._enter_sectors(columns, varying[:, k, AFTER])
             here = self.room(min(1, tips.shape[1]), 3)
-            self._call(columns, np.ascontiguousarray(varying[:, k:k + 2]), sample_every, since + k,
-                       samples, here)
+            self._call(columns, self.xp.ascontiguousarray(varying[:, k:k + 2]), sample_every,
+                       since + k, samples, here)
             tips[:, k:k + 1] = here
 
     def _enter_sectors(self, columns, varying):
         # Give lanes whose shafts have turned on the linear part of their sector.
-        load = self.constant_load.copy()
-        load[:, columns] += varying
-        load, states = (from_lanes(each, len(self._models)) for each in (load, self.state))
-        now = self._models[0].sector(states, load, self._constants[0].bands_per_speed.ravel())
+        load, states, bands = (self.host(each) for each in (
+            self.constant_load.copy(), self.state, self._fields(_TABLES)['bands_per_speed']))
+        load[:, columns] += self.host(varying)
+        load, states = (from_lanes(each, len(self._models)) for each in (load, states))
+        now = self._models[0].sector(states, load, bands.ravel())
         lanes = np.flatnonzero(now != self._sectors)
         self._sectors[lanes] = now[lanes]
         self._use(lanes)
@@ -168,17 +178,17 @@ class LaneSteps:
         for each in own:
             self._models[each] = model
         self._use(np.array(own))
-        self._write(self._constants[2], np.array(own), [Bristles._make(
+        bristles = Bristles._make(
             each[0] for each in bristles_of([model], self.step, self._bristles[[lane]]))
-            for _ in own])
+        self._write(_BRISTLES, np.array(own), [bristles for _ in own])
 
     def _use(self, lanes):
         # Write tables and matrices of the present models and sectors of some lanes.
         parts = [self._part(self._models[lane], None if self._sectors is None or
                             self._sectors[lane] < 0 else int(self._sectors[lane]))
                  for lane in lanes]
-        for packed, fields in zip(self._constants, zip(*parts)):
-            self._write(packed, lanes, fields)
+        for part, fields in zip((_TABLES, _MATRICES), zip(*parts)):
+            self._write(part, lanes, fields)
 
     def _part(self, model, sector):
         key = model, sector
@@ -187,14 +197,13 @@ class LaneSteps:
             self._parts[key] = tables, matrices_of(linear, self.step)
         return self._parts[key]
 
-    @staticmethod
-    def _write(packed, lanes, fields):
-        for (name, view), values in zip(packed.views.items(), zip(*fields)):
-            if view.dtype == float:  # whole numbers are those of all lanes
-                view[lanes // WIDTH, ..., lanes % WIDTH] = values
+    def _write(self, part, lanes, fields):
+        for name, array in self._fields(part).items():
+            array[lanes // self.width, ..., lanes % self.width] = self.xp.asarray(
+                np.array([getattr(each, name) for each in fields]))
 
     def _plan_call(self, columns, varying, sample_every, since, samples, tips):
-        for view, number in zip(self._plan.views.values(), (
+        for view, number in zip(self._constants[_PLAN].views.values(), (
                 self.groups, len(columns), varying.shape[1] - 1, sample_every, since,
                 samples.shape[1], tips.shape[1])):
             view[...] = number

@@ -11,21 +11,17 @@ import numpy as np
 from timo_sim.compiled.entry import EntryPoint
 from timo_sim.compiled.functions import Thread, WARP
 from timo_sim.model.formulation import Formulation
-from timo_sim.steps.lanes import advance_alike, advance_each, advance_group, LaneSteps
+from timo_sim.steps.lanes import advance_alike, advance_each, advance_group, Lane, LaneSteps
 
 # As those of `lanes`, but a call advances one lane, whose number is its last argument.
 thread_alike, thread_each = (
     EntryPoint(advance_group, {**entry.arguments, 'group': Thread}, name)
     for entry, name in ((advance_alike, 'thread_alike'), (advance_each, 'thread_each')))
 
-# Attributes that are fields of `Lane`.
-_ARRAYS = {'constant_load': 'constant_load', 'state': 'state', 'memory': 'friction',
-           'progress': 'progress', 'motion': 'motion', 'tip': 'tip'}
-
 
 class ThreadSteps(LaneSteps):
     """
-    As `LaneSteps`, in groups of WARP, for models without sectors that do not change.
+    As `LaneSteps`, in groups of WARP. Models with sectors wait for the host at each step.
 
     The arrays are in the memory of a `device`: `xp` is its NumPy, `make_room(number)` raises an
     error if it has no room for so many bytes, `host(array)` returns an array of NumPy, and
@@ -38,28 +34,31 @@ class ThreadSteps(LaneSteps):
     def __init__(self, device: Any, models: list[Formulation], step: float, bend_limit: float,
                  bristles: np.ndarray, alike: bool) -> None:
         self._device, self.xp, self._count = device, device.xp, len(models)
+        self._memory: list[Any] = []
         alike = alike and all(model is models[0] for model in models) and bool(
             (bristles == bristles[0]).all())
         # The first group tells how much memory all need, and the kernel how much its stacks do.
         super().__init__(models[:WARP], step, bend_limit, bristles[:WARP], alike)
         self._kernel  # loads it
+        alike = self._alike
         own = self._constants[2 * alike:-1]
         self.groups = -(-len(models) // WARP)
         device.make_room(self.groups * sum(each.length for each in own))
+        self._models, self._bristles = self._padded(models), bristles
+        if self._sectors is not None:
+            self._sectors = np.full(len(self._models), -1)
         packed = self._constants if alike else self._pack(
-            self._padded(models), bend_limit, self._padded(bristles))
+            self._models, bend_limit, self._padded(bristles))
         self._memory = [self.xp.asarray(each.memory.view(float)) for each in packed[:-1]]
         if alike:
             self._memory[2:] = [self.xp.tile(each, self.groups) for each in self._memory[2:]]
-        self._name_arrays()
+        self._name_fields()
 
-    def _name_arrays(self):
-        lane = self._constants[3]
-        for name, field in _ARRAYS.items():
-            view = lane.views[field]
-            setattr(self, name, self.xp.lib.stride_tricks.as_strided(
-                self._memory[3][lane.offsets[field] // 8:], (self.groups, *view.shape[1:]),
-                view.strides))
+    def _fields(self, part):
+        packed, found = self._constants[part], super()._fields(part)
+        return {name: self.xp.lib.stride_tricks.as_strided(
+            self._memory[part][packed.offsets[name] // 8:], (self.groups, *view.shape[1:]),
+            view.strides) for name, view in found.items()} if self._memory else found
 
     def host(self, array: Any) -> np.ndarray:
         """Return an array of the device as one of NumPy."""
@@ -73,12 +72,11 @@ class ThreadSteps(LaneSteps):
 
     def __getstate__(self):
         return {name: each for name, each in vars(self).items()
-                if name not in ('xp', '_kernel', *_ARRAYS)}
+                if name not in ('xp', '_kernel', *Lane._fields)}
 
     def __setstate__(self, state: dict[str, Any]) -> None:
+        self.xp = state['_device'].xp
         super().__setstate__(state)
-        self.xp = self._device.xp
-        self._name_arrays()
 
     @cached_property
     def _kernel(self):
@@ -87,4 +85,4 @@ class ThreadSteps(LaneSteps):
     def _call(self, columns, varying, sample_every, since, samples, tips):
         self._plan_call(columns, varying, sample_every, since, samples, tips)
         self._kernel(self._count, *self._memory, *map(self.xp.asarray, (
-            self._plan.memory, columns, varying)), samples, tips)
+            self._constants[-1].memory, columns, varying)), samples, tips)
