@@ -163,8 +163,10 @@ def bode(scene: Scene, cause: str, effects: tuple[str, ...], picture: str,
         timo_sim bode paper --set arm.damping_ratio=0.01 --png bode.png
     """
     from timo_sim.runs.linear import linearize
+    from timo_sim.runs.modes import modes
     from timo_sim.view.plot import bode
-    _draw(bode(linearize(scene, contact=contact).select([cause], effects)), picture)
+    model = linearize(scene, contact=contact).select([cause], effects)
+    _draw(bode(model, modes(scene, contact=contact).frequency), picture)
 
 
 @main.command()

@@ -106,12 +106,18 @@ def write(figure: Figure, path: Path | str) -> None:
         raise ParameterError(f'{path} cannot be drawn: {error}') from None
 
 
-def bode(model: Any) -> Figure:
-    """Return a Figure: Bode diagram from a LinearModel's first input to its outputs, and poles."""
+def bode(model: Any, frequencies: np.ndarray) -> Figure:
+    """
+    Return a Figure: Bode diagram from a LinearModel's first input to its outputs, and poles.
+
+    It ends a little above the last of the `frequencies` of the arm's modes, (n,) [Hz]: static
+    shapes answer slow loads, and poles of their own above the modes are none of the arm.
+    """
     poles = model.poles()
     vibrating = np.abs(poles[np.abs(poles) > 1.0]) / (2.0 * np.pi)
-    ends = (0.1, 100.0) if not len(vibrating) else (0.1 * vibrating[0], 3.0 * vibrating[-1])
-    frequency = np.geomspace(ends[0], ends[1], _FREQUENCIES)
+    lowest = 0.1 * vibrating[0] if len(vibrating) else 0.1
+    highest = 1.2 * frequencies[-1] if len(frequencies) else 1e3 * lowest
+    frequency = np.geomspace(lowest, highest, _FREQUENCIES)
     response = model.frequency_response(frequency)
 
     outputs = [without_unit(name) for name in model.outputs]
