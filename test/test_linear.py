@@ -316,6 +316,14 @@ def test_bode_diagram_from_the_command_line(tmp_path):
         assert words in call('bode', scene, '-o', picture, '--response', name, code=2)
 
 
+def test_a_linear_model_has_the_static_shapes_of_its_scene():
+    """Those of a lane of a Batch, or of another mass on a page, are not those of its own tip."""
+    scene = timo_sim.load_scene('arm', {'arm.length': 0.4})
+    light, heavy = timo_sim.Batch([scene, scene.vary({'end_effector.mass': 1.0})]).scenes
+    assert scene.static == light.static == heavy.static == ('torque',)
+    assert len(timo_sim.linearize(heavy).states) == len(timo_sim.linearize(light).states)
+
+
 @pytest.mark.filterwarnings('error')
 def test_the_bode_diagram_of_a_rigid_arm_has_gains_of_zero(tmp_path):
     call('bode', 'paper', '--set', 'model.modes=0', '--png', tmp_path / 'bode.png')

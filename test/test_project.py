@@ -280,7 +280,8 @@ for use in (lambda: run.plot(), lambda: run.view(), lambda: run.to_pandas(),
 """
     (tmp_path / 'in.parquet').touch()
     assert python('-W', 'ignore', '-c', code, cwd=tmp_path).splitlines() == [
-        f"{package} is missing: pip install 'timo_sim[{extra}]'" for package, extra in (
+        f'{package} is missing: in a clone of timo_sim, {sys.executable} -m pip install '
+        f"-e '.[{extra}]'" for package, extra in (
             ('matplotlib', 'plot'), ('rerun', 'view'), ('pandas', 'pandas'),
             ('pyarrow', 'sweep'), ('control', 'control'), ('pyarrow', 'sweep'),
             ('gymnasium', 'rl'), ('cupy', 'cuda'), ('distributed', 'cluster'))]

@@ -5,6 +5,7 @@
 
 from collections.abc import Iterator
 from contextlib import contextmanager
+import sys
 
 _EXTRAS = {
     'PIL': 'plot', 'control': 'control', 'cupy': 'cuda', 'distributed': 'cluster',
@@ -25,5 +26,5 @@ def optional() -> Iterator[None]:
         if error.name not in _EXTRAS:
             raise
         raise MissingPackage(
-            f"{error.name} is missing: pip install 'timo_sim[{_EXTRAS[error.name]}]'",
-            name=error.name) from None
+            f'{error.name} is missing: in a clone of timo_sim, {sys.executable} -m pip install '
+            f"-e '.[{_EXTRAS[error.name]}]'", name=error.name) from None

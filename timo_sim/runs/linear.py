@@ -24,7 +24,7 @@ from timo_sim.scene.bodies import motor_constants
 from timo_sim.scene.loads import CHANNELS
 from timo_sim.scene.parameters import (
     checked, CONTACT, did_you_mean, numbers, NUMBERS, Parameter, ParameterError, TEXTS, warn)
-from timo_sim.scene.scene import load_scene, Scene, SceneLike
+from timo_sim.scene.scene import load_scene, Scene, scene_from, SceneLike
 from timo_sim.simulation.snapshot import Joints
 from timo_sim.steps.bristles import COLUMNS, REACH
 from timo_sim.topics.outputs import SENSORS
@@ -225,7 +225,8 @@ def linearize(scene: SceneLike, at: np.ndarray | None = None, contact: str = '')
     load[ANGLE] = at[2]
     # Small changes about an equilibrium do not reach the limit of the motor's current. A step of 0
     # resolves all axial vibrations and static shapes.
-    scene = replace(scene.vary({'motor.dc.current_limit': math.inf}), step=0.0)
+    scene = replace(scene_from({**scene.values, 'motor.dc.current_limit': math.inf}, scene.static),
+                    step=0.0)
     formulation = scene.build()
     state = formulation.state(at)
     moving, rate = at[half:], np.abs(formulation.rate(state, load))
