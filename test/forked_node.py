@@ -17,10 +17,10 @@ from timo_sim.ros import diagnostics
 
 _SERVER = multiprocessing.get_context('forkserver')
 _SERVER.set_forkserver_preload([
-    'timo_sim.ros.process', 'timo_sim.ros.node', 'timo_sim.ros.observer', 'timo_sim.cli.sim_node'])
+    'timo_sim.ros.process', 'timo_sim.ros.node', 'timo_sim.cli.sim_node'])
 
 
-def _run(main, arguments, folder, environment, output):
+def _run(arguments, folder, environment, output):
     diagnostics._PERIOD = 0.2  # [s] of wall time, since many tests wait for diagnostics
     os.chdir(folder)
     os.environ.clear()
@@ -29,16 +29,16 @@ def _run(main, arguments, folder, environment, output):
     for stream in (1, 2):
         os.dup2(descriptor, stream)
     sys.argv[1:] = arguments
-    sys.exit(getattr(sim_node, main)())
+    sys.exit(sim_node.main())
 
 
 class ForkedNode:
-    """A `sim_node`, or `main` of its module, with methods of `subprocess.Popen` for tests."""
+    """A `sim_node` with methods of `subprocess.Popen` for tests."""
 
-    def __init__(self, arguments, folder, main='main'):
+    def __init__(self, arguments, folder):
         self._output = tempfile.NamedTemporaryFile()
         self._process = _SERVER.Process(target=_run, args=(
-            main, arguments, folder, dict(os.environ), self._output.name))
+            arguments, folder, dict(os.environ), self._output.name))
         self._process.start()
         self.pid = self._process.pid
 

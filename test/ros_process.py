@@ -149,11 +149,11 @@ class Process:
     A `sim_node` in a process of its own, its log in a folder of its own.
 
     It is forked from a process that has imported its modules, or, if `fresh`, starts as those of
-    users do. `main` is the function that it runs: that of another node is `observer`.
+    users do.
     """
 
     def __init__(self, folder, *arguments, record=True, fresh=False, preexec_fn=None,
-                 main='main', **parameters):
+                 **parameters):
         values = {'record': record, 'record_file': str(Path(folder) / 'run.mcap'), **parameters}
         self.log = Path(folder) / values['record_file']
         arguments = ['--ros-args', *arguments]
@@ -161,7 +161,7 @@ class Process:
             shown = str(value).lower() if isinstance(value, bool) else value
             arguments += ['-p', f'{name}:={shown}']
         if not fresh and preexec_fn is None:
-            self._process = ForkedNode(arguments, folder, main)
+            self._process = ForkedNode(arguments, folder)
             return
         self._process = subprocess.Popen(
             [sys.executable, '-m', 'timo_sim.cli.sim_node', *arguments], cwd=folder, text=True,

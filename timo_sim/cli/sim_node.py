@@ -1,18 +1,18 @@
 # Copyright 2026 The timo_sim authors
 # SPDX-License-Identifier: Apache-2.0
 
-"""The executables `sim_node` and `observer`: signal handlers come before large imports."""
+"""The executable `sim_node`: signal handlers come before large imports."""
 
 from collections.abc import Callable
 import os
 import signal
 import sys
 
-_HELP = """usage: {name} [--help] [--ros-args ...]
+_HELP = """usage: sim_node [--help] [--ros-args ...]
 
-{what}. Parameters are set by --ros-args:
+The ROS 2 node timo_sim. Parameters are set by --ros-args:
 
-  {name} --ros-args --params-file my_scene.yaml -p name:=value
+  sim_node --ros-args --params-file my_scene.yaml -p name:=value
 
 `ros2 param describe` and the file config/paper.yaml say what each parameter means."""
 
@@ -63,32 +63,19 @@ def _ignore_exit(unraisable):
 
 def main(args: list[str] | None = None) -> int:
     """Run the node with these arguments or the process's; return the exit code, as `run` does."""
-    return _run('sim_node', 'The ROS 2 node timo_sim', args)
-
-
-def observer(args: list[str] | None = None) -> int:
-    """Run the node `observer`, as `main` does."""
-    return _run('observer', 'A ROS 2 node that estimates the motion of the arm of a scene', args)
-
-
-def _run(name, what, args):
     _open_streams()
     stop = StopRequest()
     given = sys.argv[1:] if args is None else args
     if given in (['-h'], ['--help']):
-        print(_HELP.format(name=name, what=what))
+        print(_HELP)
         return 0
     try:
         from timo_sim.ros.process import run
-        if name == 'observer':
-            from timo_sim.ros.observer import ObserverNode
-            return run(stop, args, ObserverNode)
-        from timo_sim.ros.node import SimNode
-        return run(stop, args, SimNode)
+        return run(stop, args)
     except ModuleNotFoundError as error:
         if error.name != 'rclpy':
             raise
-        print(f'timo_sim: {name} needs ROS 2: source an installed one, or pip install '
+        print('timo_sim: sim_node needs ROS 2: source an installed one, or pip install '
               'timo_sim[ros]; timo_sim simulate needs none', file=sys.stderr)
         return 1
     except ImportError as error:

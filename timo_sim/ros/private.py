@@ -26,12 +26,8 @@ def overrides(node: Node) -> dict[str, Any]:
     return node._parameter_overrides
 
 
-def take(subscription: Subscription, kind: type) -> Iterator[tuple[bytes, int]]:
-    """
-    Yield the serialised messages that have arrived, and when, by wall time [ns].
-
-    In public only an executor takes messages.
-    """
+def take(subscription: Subscription, kind: type) -> Iterator[bytes]:
+    """Yield the serialised messages that have arrived: in public only an executor takes them."""
     handle: Any = subscription.handle
     with handle:
         # At most a full queue: a fast publisher could keep an endless loop busy for ever.
@@ -39,4 +35,4 @@ def take(subscription: Subscription, kind: type) -> Iterator[tuple[bytes, int]]:
             taken = handle.take_message(kind, True)
             if taken is None:
                 return
-            yield taken[0], taken[1]['received_timestamp']
+            yield taken[0]

@@ -3,7 +3,6 @@
 
 """The node's process: starts and ends ROS, and serves callbacks in a thread of their own."""
 
-from collections.abc import Callable
 import gc
 import os
 from pathlib import Path
@@ -16,6 +15,7 @@ from rclpy.exceptions import NameValidationException, ParameterException
 from rclpy.executors import ExternalShutdownException
 from rclpy.signals import SignalHandlerOptions
 
+from timo_sim.ros.node import SimNode
 from timo_sim.ros.private import Executor, RCLError
 from timo_sim.scene.files import is_for, read_sections
 from timo_sim.scene.parameters import ParameterError, short
@@ -68,14 +68,12 @@ def _warn_of_unused_file(node, file, sections):
         node.get_logger().warning(f'{file} has no parameter for {name}{others}')
 
 
-def run(stop: Any, args: list[str] | None, make: Callable[..., Any]) -> int:
+def run(stop: Any, args: list[str] | None) -> int:
     """
-    Start ROS, run a node until a StopRequest, end ROS; return the exit code.
+    Start ROS, run a SimNode until a StopRequest, end ROS; return the exit code.
 
-    `make` takes the StopRequest and, as `files`, the sections of the parameter files; it returns
-    the node, which has `open`, `run` and `count_failure`. The code is 0, 1 if the
-    middleware refuses, or 2 for a parameter that breaks its rule. `args` is the command line, by
-    default that of the process.
+    The code is 0, 1 if the middleware refuses, or 2 for a parameter that breaks its rule. `args`
+    is the command line, by default that of the process.
     """
     sys.setswitchinterval(SWITCH_INTERVAL)
     done = threading.Event()
@@ -105,7 +103,7 @@ def run(stop: Any, args: list[str] | None, make: Callable[..., Any]) -> int:
     except (ParameterError, RuntimeError, UnicodeError) as error:  # arguments, or a file
         return _refuse(error)
     try:
-        node = make(stop, files=files)
+        node = SimNode(stop, files)
     except (ParameterError, NameValidationException, ParameterException) as error:
         return _refuse(error)
     except RCLError as error:  # the middleware refuses

@@ -144,15 +144,14 @@ class Inlet:
     commands `refused` or, because they answer another state, `mismatched`, and `foreign` names.
     """
 
-    def __init__(self, node, command, frames, prefix, qos):
+    def __init__(self, node, command, frames):
         self.command, self._frames = command, frames
         self.type, self._read = message_class(command.type_name), Reader(command.type_name)
         # A logger for each topic, so that the warnings of each are throttled separately.
         self.logger = node.get_logger().get_child(command.name.removeprefix('~/'))
-        topic = prefix + command.name.removeprefix('~/')
         self.subscription = node.create_subscription(
-            self.type, topic, lambda data: None, qos, raw=True,
-            qos_overriding_options=node.qos_of('subscription', topic))
+            self.type, command.name, lambda data: None, DEPTH, raw=True,
+            qos_overriding_options=node.qos_of('subscription', command.name))
         self.publishers = self.subscription.get_publisher_count
         self.channel = channel_of(self.subscription, command.type_name, command.name)
         self.pending = None
@@ -191,21 +190,20 @@ class Inlet:
         """Receive what has arrived, see `Commands.poll`; return whether a command is in it."""
         # Of all, since each may be refused.
         return any([self.receive(data, answered)
-                    for data, _ in take(self.subscription, self.type)])
+                    for data in take(self.subscription, self.type)])
 
 
 class Commands:
     """
     All command topics of a node, and which of them each group of inputs follows.
 
-    `voltage` says whether there is a motor that takes one; names of topics begin with `prefix`.
-    `inlets`, and `channels` of the log, are in the order of COMMANDS. `stale` counts how often a
-    group of inputs fell to zero because its command was too old; `received` says whether a command
-    has come since `apply` was called.
+    `voltage` says whether there is a motor that takes one. `inlets`, and `channels` of the log,
+    are in the order of COMMANDS. `stale` counts how often a group of inputs fell to zero because
+    its command was too old; `received` says whether a command has come since `apply` was called.
     """
 
-    def __init__(self, node, voltage, frames, prefix='~/', qos=DEPTH):
-        self.inlets = [Inlet(node, command, frames, prefix, qos) for command in COMMANDS
+    def __init__(self, node, voltage, frames):
+        self.inlets = [Inlet(node, command, frames) for command in COMMANDS
                        if voltage or command.name != '~/motor_voltage']
         self.channels = [inlet.channel for inlet in self.inlets]
         self.stale, self.received = 0, False
