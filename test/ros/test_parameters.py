@@ -56,8 +56,7 @@ SAME = {
                             '/**: {ros__parameters: {arm: {length: 4.0}}}',
     'numbers': 'timo_sim: {ros__parameters: {arm.length: 010, arm.section.width: 2e-2, '
                'model.modes: 0x3}}',
-    "rclpy's own": 'timo_sim: {ros__parameters: {use_sim_time: false, arm.length: 3.0, '
-                   'qos_overrides: {/timo_sim/tip_pose: {publisher: {depth: 5}}}}}',
+    "rclpy's own": 'timo_sim: {ros__parameters: {use_sim_time: false, arm.length: 3.0}}',
     'a mark of UTF-8': '\ufefftimo_sim: {ros__parameters: {arm.length: 3.0}}'}
 # What load_scene says of files, which also refuse names that only begin like those of rclpy.
 REFUSED = {
@@ -93,10 +92,9 @@ def overrides(path, namespace='/'):
 
 def test_scene_and_node_take_the_same_sections(tmp_path):
     path = tmp_path / 'scene.yaml'
-    own = 'use_sim_time', 'qos_overrides./timo_sim/tip_pose.publisher.depth'
     for name, text in SAME.items():
         path.write_text(text)
-        theirs = {name: value for name, value in overrides(path).items() if name not in own}
+        theirs = {name: value for name, value in overrides(path).items() if name != 'use_sim_time'}
         assert theirs and check(read_parameter_file(path), 'scene') == check(theirs, 'node'), name
         timo_sim.load_scene({}, read_parameter_file(path))
 
@@ -172,8 +170,7 @@ def test_a_dump_starts_an_equal_node(start, client, tmp_path):
     first = {'model.accuracy': 1e-3, 'initial.shaft_velocity': 1.0 / 3.0, 'duration': 1.0,
              'carrier.force_limit': '1e-300', 'carrier.mass': 5, 'start_paused': True,
              'carrier.held': 'y', 'arm.damping_ratio': '[0]', 'load.torque.table.time': '[]',
-             'real_time_factor': 0.0, 'initial.carrier_x': '-0.0',
-             f'qos_overrides.{name}/tip_pose.publisher.depth': 5}
+             'real_time_factor': 0.0, 'initial.carrier_x': '-0.0'}
     for number, arguments, values in ((1, (), first), (2, ('--params-file', 'dump.yaml'), {})):
         log = tmp_path / f'{number}.mcap'
         node = start(*arguments, '-r', '__ns:=/dumped', record_file=str(log), **values)
@@ -181,7 +178,6 @@ def test_a_dump_starts_an_equal_node(start, client, tmp_path):
         shown = parameters.dump()
         (tmp_path / 'dump.yaml').write_text(shown)
         shown = flatten(yaml.safe_load(shown)[name]['ros__parameters'])
-        assert shown[f'qos_overrides.{name}/tip_pose.publisher.depth'] == 5
         shown = {name: shown[name] for name in PARAMETERS}  # none is missing
         assert client.service(SetBool, f'{name}/pause')(data=False).success
         assert node.wait()[0] == 0
@@ -333,7 +329,7 @@ def test_setting_parameters_reads_no_file_and_compiles_nothing(tmp_path):
 
 
 ODD_NAMES = ['', 'use_sim_time', 'start_type_description_service', 'arm', 'a' * 10000,
-             'no\n\x1b[1m', 'qos_overrides./timo_sim/tip_pose.publisher.depth',
+             'no\n\x1b[1m',
              'motor.torque_limit', TIME]
 
 

@@ -28,7 +28,6 @@ from timo_sim.ros.process import use_profiles
 
 TWICE = 'timo_sim: {ros__parameters: {arm: {length: 3.0}, arm.length: 4.0}}'
 TAG = 'timo_sim: {ros__parameters: {arm.length: !!python/object/apply:os.system [touch tag]}}'
-QOS = 'qos_overrides./timo_sim/tip_pos.publisher.depth'
 # Arguments of a node, and words of the line with which it ends.
 REFUSED = [
     (['-p', argument], words) for argument, words in (
@@ -40,8 +39,7 @@ REFUSED = [
         ('use_sim_time:=1', "'use_sim_time' to '1' of type 'INTEGER', expecting type 'BOOL'"),
         ('arm.length:=1.0e+300', 'too large or too small together'),
         ('frame.arm:=a\udcff', "'utf-8' codec can't"),
-        (f'{QOS}:=5', f'{QOS} = 5 is for no publisher or subscription whose QoS can be set; '
-         'did you mean /timo_sim/tip_pose?'))
+        ('qos_overrides./joint_states.publisher.depth:=5', 'is not a parameter of timo_sim'))
 ] + [
     (['--params-file', 'invalid.yaml'], 'invalid.yaml'),
     (['--params-file', 'tag.yaml'], 'tag'),

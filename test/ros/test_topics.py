@@ -9,30 +9,18 @@ from mcap_ros2.reader import read_ros2_messages
 import numpy as np
 import pytest
 from rcl_interfaces.srv import SetParameters
-from rclpy.parameter import Parameter, parameter_value_to_python
-from rclpy.parameter_client import AsyncParameterClient
-from rclpy.qos import qos_profile_sensor_data, ReliabilityPolicy
+from rclpy.parameter import Parameter
+from rclpy.qos import qos_profile_sensor_data
 from ros_process import nanoseconds, Process, replayed
 from sensor_msgs.msg import Imu, JointState
-from std_msgs.msg import Float64
 from std_srvs.srv import Trigger
-import yaml
 
 import timo_sim
-from timo_sim.log.tables import export_bag, Recording
-from timo_sim.ros.parameters import ParameterNode
+from timo_sim.log.tables import Recording
 from timo_sim.ros.topics import message_class
 from timo_sim.runs.replay import replay
-from timo_sim.scene.parameters import ParameterError
 from timo_sim.simulation.snapshot import reading
 from timo_sim.topics.outputs import outputs
-
-TORQUE, TIP = '/timo_sim/motor_torque', '/timo_sim/tip_pose'
-OVERRIDES = {f'qos_overrides.{name}': value for name, value in {
-    '/joint_states.publisher.history': 'keep_last',
-    f'{TIP}.publisher.depth': 1, f'{TIP}.publisher.reliability': 'best_effort',
-    f'{TORQUE}.subscription.depth': 1000,
-    f'{TORQUE}.subscription.reliability': 'best_effort'}.items()}
 
 
 def test_topics_carry_the_physics(start, client, paper):
@@ -96,8 +84,8 @@ def test_each_topic_has_its_rate_in_one_run(start):
                      for topic, rate in rates.items()}
 
 
-def test_subscribers_of_sensor_data_receive_every_topic_and_overrides_act(start, client):
-    node = start(record=False, publish_clock=True, **OVERRIDES)
+def test_subscribers_of_sensor_data_receive_every_topic(start, client):
+    start(record=False, publish_clock=True)
     heard, topics = {}, {output.name: output.type_name for output in outputs(3, gear=False)}
     assert len(topics) >= 9
     for topic, type_name in topics.items():
@@ -106,70 +94,6 @@ def test_subscribers_of_sensor_data_receive_every_topic_and_overrides_act(start,
         client.create_subscription(message_class(type_name), full, heard[topic].append,
                                    qos_profile_sensor_data)
     client.wait(lambda: all(heard.values()), 'a message of each topic')
-
-    remote = AsyncParameterClient(client, '/timo_sim')
-    client.wait(remote.services_are_ready, 'the services of parameters')
-    client.wait_until_known_to('/timo_sim')
-    names, values = remote.list_parameters(['qos_overrides'], 10), remote.get_parameters(
-        [*OVERRIDES])
-    late = 'qos_overrides./joint_states.publisher.depth'
-    refused = remote.set_parameters([Parameter(late, value=3)])
-    client.wait(lambda: names.done() and values.done() and refused.done(), 'parameters')
-    assert refused.result().results[0].reason == (
-        f'{late} is not declared; QoS is set only at the start')
-    assert {*names.result().result.names} == {*OVERRIDES}
-    assert [*map(parameter_value_to_python, values.result().values)] == [*OVERRIDES.values()]
-
-    # A reliable subscriber gets nothing from a best-effort publisher.
-    offered = {found.topic_type: found.qos_profile.reliability
-               for topic in (TIP, '/joint_states')
-               for found in client.get_publishers_info_by_topic(topic)}
-    assert offered == {'geometry_msgs/msg/PoseStamped': ReliabilityPolicy.BEST_EFFORT,
-                       'sensor_msgs/msg/JointState': ReliabilityPolicy.RELIABLE}
-    torque = client.create_publisher(Float64, TORQUE, qos_profile_sensor_data)
-
-    def acts():
-        torque.publish(Float64(data=2.0))
-        return heard['joint_states'][-1].effort[2] == 2.0
-    client.wait(acts, 'the torque of an unreliable publisher')
-    assert node.end()[0] == 0
-
-
-def test_the_log_names_the_qos_that_acts(start, tmp_path):
-    node = start(duration=0.1, **OVERRIDES)
-    assert node.wait()[0] == 0
-    profile = {'/timo_sim/tip_pose': (1, 'best_effort'), TORQUE: (1000, 'best_effort')}
-    with open(node.log, 'rb') as stream:
-        channels = make_reader(stream).get_summary().channels.values()
-    logged = {channel.topic: yaml.safe_load(channel.metadata['offered_qos_profiles'])
-              for channel in channels}
-    export_bag(node.log, tmp_path / 'bag')
-    bag = yaml.safe_load((tmp_path / 'bag' / 'metadata.yaml').read_text())
-    exported = {topic['topic_metadata']['name']: topic['topic_metadata']['offered_qos_profiles']
-                for topic in bag['rosbag2_bagfile_information']['topics_with_message_count']}
-    assert logged == exported and {*profile} < {*logged}
-    for topic, (qos,) in logged.items():
-        assert (qos['depth'], qos['reliability']) == profile.get(topic, (10, 'reliable')), topic
-
-
-def test_overrides_without_effect_are_errors(ros):
-    for name, value, words in (
-            ('/timo_sim/tip_pose.publisher.reliability', 'sometimes',
-             'must be one of reliable, best_effort'),
-            ('/timo_sim/tip_pose.publisher.depth', 0, 'must be a whole number >= 1 and <= 10000'),
-            ('/timo_sim/tip_pose.publisher.history', 'keep_all', 'must be one of keep_last'),
-            ('/timo_sim/tip_pose.publisher.deadline', 5,
-             'must set one of history, depth, reliability'),
-            ('depth', 5, 'is for no publisher or subscription'),
-            ('/parameter_events.publisher.depth', 5, 'is for no publisher or subscription')):
-        name = f'qos_overrides.{name}'
-        node = ParameterNode('timo_sim', parameter_overrides=[Parameter(name, value=value)])
-        with pytest.raises(ParameterError) as error:
-            node.declare(node.given(), None)
-        node.destroy_node()
-        told = str(error.value)
-        assert told.startswith(name) and words in told and repr(value) in told
-        assert '\n' not in told
 
 
 WRONG = {'sensor.seed': 7, 'sensor.encoder.noise': 1e-3, 'sensor.encoder.resolution': 1e-4,

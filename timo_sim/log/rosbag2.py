@@ -11,7 +11,7 @@ import yaml
 
 from timo_sim.log.notes import printable
 
-DEPTH = 10  # default depth of a topic's queue [messages]
+DEPTH = 10  # of a topic's queue [messages]
 
 
 class _Dumper(getattr(yaml, 'CSafeDumper', yaml.SafeDumper)):  # type: ignore[misc]
@@ -24,11 +24,11 @@ def yaml_text(value: Any) -> str:
     return yaml.dump(value, Dumper=_Dumper, sort_keys=False)
 
 
-def offered_qos(depth: int, reliability: str, durability: str) -> str:
+def offered_qos(durability: str) -> str:
     """Return the QoS of a topic, as rosbag2 writes it (metadata version 9)."""
     for_ever = {'sec': 9223372036, 'nsec': 854775807}
     return yaml_text([{
-        'history': 'keep_last', 'depth': depth, 'reliability': reliability,
+        'history': 'keep_last', 'depth': DEPTH, 'reliability': 'reliable',
         'durability': durability, 'deadline': for_ever, 'lifespan': for_ever,
         'liveliness': 'automatic', 'liveliness_lease_duration': for_ever,
         'avoid_ros_namespace_conventions': False}])

@@ -31,7 +31,7 @@ from mcap.records import (
 from mcap.summary import Summary
 from mcap.writer import LIBRARY_IDENTIFIER, MCAP0_MAGIC
 
-from timo_sim.log.rosbag2 import DEPTH, information, offered_qos, yaml_text
+from timo_sim.log.rosbag2 import information, offered_qos, yaml_text
 from timo_sim.scene.files import check_target
 from timo_sim.topics.cdr import schema_text
 
@@ -162,9 +162,7 @@ class Channel(NamedTuple):
     topic: str      # fully qualified name
     type_name: str  # as in 'sensor_msgs/msg/JointState'
     name: str = ''  # before remapping, as in '~/tip_pose'
-    depth: int = DEPTH
-    reliability: str = 'reliable'  # or 'best_effort'
-    durability: str = 'volatile'   # or 'transient_local'
+    durability: str = 'volatile'  # or 'transient_local'
 
 
 class Recorder:
@@ -195,8 +193,7 @@ class Recorder:
         records += [
             ChannelRecord(id=number, topic=channel.topic, message_encoding='cdr',
                           schema_id=types.index(channel.type_name) + 1,
-                          metadata={'offered_qos_profiles': offered_qos(
-                              channel.depth, channel.reliability, channel.durability)})
+                          metadata={'offered_qos_profiles': offered_qos(channel.durability)})
             for number, channel in enumerate(channels, start=1)]
         records += [Metadata(name=name, metadata=values) for name, values in notes.items()]
         self.path, self._file = create(Path(path))

@@ -4,7 +4,6 @@
 """The node's parameters, declared with descriptions and checked by the rules for YAML files."""
 
 from collections.abc import Callable, Mapping
-from dataclasses import replace
 import math
 import sys
 from types import MappingProxyType
@@ -16,23 +15,15 @@ from rcl_interfaces.srv import SetParameters, SetParametersAtomically
 from rclpy.exceptions import ParameterNotDeclaredException
 from rclpy.node import Node
 from rclpy.parameter import Parameter
-from rclpy.qos import QoSPolicyKind
-from rclpy.qos_overriding_options import QoSOverridingOptions
 from rclpy.service import Service
 
 from timo_sim.ros.private import overrides
-from timo_sim.scene.files import is_for, is_of_rclpy, QOS
+from timo_sim.scene.files import is_for, is_of_rclpy
 from timo_sim.scene.parameters import (
-    check, complete, did_you_mean, gives_arm, Parameter as Rule, ParameterError,
-    PARAMETERS, RATES, short, whole_ratio)
+    check, complete, gives_arm, ParameterError, PARAMETERS, RATES, short, whole_ratio)
 from timo_sim.scene.plausible import find_outdated
 
 _SOURCE = 'set at run time'
-# QoS policies that can be set. With history keep_all a slow subscriber would hold up the node.
-_POLICIES = {rule.name: rule for rule in (
-    Rule('history', 'keep_last', '', '', choices=('keep_last',)),
-    Rule('depth', 10, '', 'messages', low=1, high=10000),
-    Rule('reliability', 'reliable', '', '', choices=('reliable', 'best_effort')))}
 
 
 class ParameterNode(Node):
@@ -46,14 +37,11 @@ class ParameterNode(Node):
         `arm.*`, they are a scene of its own; other parameters change the paper's.
         """
         # Undeclared names must be refused.
-        given = {name: parameter.value for name, parameter in overrides(self).items()}
+        given = {name: parameter.value for name, parameter in overrides(self).items()
+                 if not is_of_rclpy(name)}
         # ROS reads y as true, also in `ros2 param dump`, which writes it without quotes.
         if given.get('carrier.held') is True:
             given['carrier.held'] = 'y'
-        for name in filter(is_of_rclpy, [*given]):
-            value = given.pop(name)
-            if name.startswith(QOS):
-                _check_qos(name, value)
         name = self.get_fully_qualified_name()
         own = any(gives_arm(values) for sections in files.values()
                   for section, values in sections.items() if is_for(section, name))
@@ -69,16 +57,8 @@ class ParameterNode(Node):
         Declare all parameters with these values, and update `values` when some are set later.
 
         `apply` is called with those first, a dictionary; it may raise ParameterError to refuse
-        them. Create all topics before this call: QoS for any other topic is a ParameterError.
+        them.
         """
-        for name, parameter in overrides(self).items():
-            if name.startswith(QOS) and not self.has_parameter(name):
-                topics = {*(each.topic_name for each in self.publishers),
-                          *(each.topic_name for each in super().subscriptions)}
-                topic = name.removeprefix(QOS).partition('.')[0]
-                raise ParameterError(
-                    f'{name} = {short(parameter.value)} is for no publisher or subscription whose '
-                    f'QoS can be set{did_you_mean(topic, topics - {topic})}')
         for name, rule in PARAMETERS.items():
             parameter, descriptor = _of_rclpy(name, values[name]), _descriptor(rule)
             descriptor.type = parameter.type_.value
@@ -100,12 +80,6 @@ class ParameterNode(Node):
 
         self.add_on_set_parameters_callback(callback)
 
-    def qos_of(self, kind: str, topic: str) -> QoSOverridingOptions:
-        """Return which QoS parameters give the 'publisher' or 'subscription' of a topic."""
-        prefix = f'{QOS}{self.resolve_topic_name(topic)}.{kind}.'
-        return QoSOverridingOptions([QoSPolicyKind[policy.upper()] for policy in _POLICIES
-                                     if prefix + policy in overrides(self)])
-
     def create_service(self, srv_type: Any, srv_name: str, callback: Callable,
                        **options: Any) -> Service:
         """Offer a service; the callbacks of rclpy's own services that set are replaced."""
@@ -120,8 +94,7 @@ class ParameterNode(Node):
             return super().set_parameters_atomically([*map(_converted, parameter_list)])
         except ParameterNotDeclaredException:
             names = [each.name for each in parameter_list if not self.has_parameter(each.name)]
-            return _refused(f'{short(", ".join(names), str)} is not declared; QoS is set only at '
-                            'the start')
+            return _refused(f'{short(", ".join(names), str)} is not declared')
         except ParameterError as error:
             return _refused(error)
 
@@ -146,13 +119,6 @@ class ParameterNode(Node):
         except ValueError as error:
             return _refused(f'a parameter cannot be read: {error}')
         return self.set_parameters_atomically(parameters)
-
-
-def _check_qos(name, value):
-    policy = name.rpartition('.')[2]
-    if policy not in _POLICIES:
-        raise ParameterError(f'{name} = {short(value)} must set one of {", ".join(_POLICIES)}')
-    replace(_POLICIES[policy], name=name).check(value)
 
 
 def _is_list(name):

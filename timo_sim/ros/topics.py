@@ -15,7 +15,6 @@ import numpy as np
 from rclpy.event_handler import PublisherEventCallbacks
 from rclpy.publisher import Publisher
 from rclpy.qos import DurabilityPolicy, QoSProfile
-from rclpy.subscription import Subscription
 
 from timo_sim.log.notes import START, start_note, SUMMARY
 from timo_sim.log.rosbag2 import DEPTH
@@ -33,14 +32,6 @@ def message_class(type_name: str) -> type:
     """Return the class of messages of a type, named as in 'sensor_msgs/msg/JointState'."""
     package, _, name = type_name.split('/')
     return getattr(import_module(f'{package}.msg'), name)
-
-
-def channel_of(endpoint: Publisher | Subscription, type_name: str, name: str) -> Channel:
-    """Return the channel of a publisher or subscription in the log, with the QoS that acts."""
-    qos = endpoint.qos_profile
-    return Channel(topic=endpoint.topic_name, type_name=type_name, name=name, depth=qos.depth,
-                   reliability=qos.reliability.name.lower(),
-                   durability=qos.durability.name.lower())
 
 
 class Outlet:
@@ -64,9 +55,7 @@ class Outlet:
         if publishes:
             self._publisher = node.create_publisher(
                 message_class(type_name), topic, QoSProfile(depth=DEPTH, durability=durability),
-                event_callbacks=PublisherEventCallbacks(matched=self._matched),
-                qos_overriding_options=node.qos_of('publisher', topic))
-            self.channel = channel_of(self._publisher, type_name, topic)
+                event_callbacks=PublisherEventCallbacks(matched=self._matched))
 
     def _matched(self, event):
         self.check_subscribers()
@@ -150,10 +139,9 @@ class Inlet:
         # A logger for each topic, so that the warnings of each are throttled separately.
         self.logger = node.get_logger().get_child(command.name.removeprefix('~/'))
         self.subscription = node.create_subscription(
-            self.type, command.name, lambda data: None, DEPTH, raw=True,
-            qos_overriding_options=node.qos_of('subscription', command.name))
+            self.type, command.name, lambda data: None, DEPTH, raw=True)
         self.publishers = self.subscription.get_publisher_count
-        self.channel = channel_of(self.subscription, command.type_name, command.name)
+        self.channel = Channel(self.subscription.topic_name, command.type_name, command.name)
         self.pending = None
         self.refused = self.mismatched = self.foreign = 0
 

@@ -17,7 +17,6 @@ import yaml
 
 from timo_sim.scene.parameters import did_you_mean, ParameterError, PARAMETERS, short, stated
 
-QOS = 'qos_overrides.'  # prefix of rclpy's parameters for the QoS of topics
 _MAX_DEPTH = max(name.count('.') for name in PARAMETERS)
 # In a clone, config/ is beside the package. Once installed, it is in PREFIX/share/timo_sim, and
 # the package is in PREFIX/lib/python3.x/site-packages.
@@ -74,7 +73,7 @@ def check_target(path: Path) -> None:
 
 def is_of_rclpy(name: str) -> bool:
     """Return whether a parameter is rclpy's own, by its name."""
-    return name in ('use_sim_time', 'start_type_description_service') or name.startswith(QOS)
+    return name in ('use_sim_time', 'start_type_description_service')
 
 
 def scene_file(source: Path | str) -> Path:
