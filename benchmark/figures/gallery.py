@@ -13,7 +13,6 @@ import numpy as np
 from benchmark import ROOT
 from benchmark.report import BLUE, GREEN, GREY, parser, RED
 import timo_sim
-from timo_sim.view.plot import draw_floor
 from timo_sim.view.rerun import picture, write
 from timo_sim.view.track import Track
 
@@ -164,7 +163,7 @@ def standing():
         draw_arm(plane, run, sample, BLUE, 0.3 + 0.2 * k, 'then every 0.4 s' if k == 3 else None)
     draw_arm(plane, run, 1000, RED, label='borne by the torque, until 1 s')
     plane.set(xlim=(-2.1, 2.1), ylim=(-2.25, 1.35))
-    draw_floor(plane, Track(run).floor)
+    plane.annotate('g', (1.8, 0.6), (1.8, 1.1), ha='center', arrowprops={'arrowstyle': '->'})
     plane.legend(loc='upper left')
     time.plot(run.t, 1e3 * across, color=BLUE, label='tip deflection w(l)')
     time.set(ylabel='w(l) [mm]', xlim=(0, 10), ylim=(-80, 110))

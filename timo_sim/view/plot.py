@@ -8,7 +8,6 @@ from itertools import cycle
 from pathlib import Path
 from typing import Any
 
-from matplotlib.axes import Axes
 from matplotlib.backends.backend_agg import FigureCanvasAgg
 from matplotlib.figure import Figure
 from matplotlib.ticker import MultipleLocator
@@ -18,7 +17,7 @@ from PIL import Image
 from timo_sim.model.layout import rotate, without_unit
 from timo_sim.scene.files import whole_file
 from timo_sim.scene.parameters import ParameterError
-from timo_sim.view.track import Floor, FPS, Track
+from timo_sim.view.track import FPS, Track
 
 # Okabe and Ito's colours, which colour-blind readers tell apart.
 COLOURS = '#0072b2', '#d55e00', '#009e73', '#cc79a7', '#e69f00', '#56b4e9'
@@ -63,7 +62,6 @@ def plot(run: Any, deflection_scale: float = 1.0) -> Figure:
     plane.plot(*shapes[most, 0].T, 's', color='0.3', markersize=6, label='carrier')
     plane.set(xlabel='x [m]', ylabel='y [m]', aspect='equal', adjustable='datalim',
               title=track.title)
-    draw_floor(plane, track.floor)
     plane.grid(alpha=0.3)
     right.legend(fontsize='small', frameon=False, loc='outside upper right')
     return figure
@@ -81,20 +79,6 @@ def _panels(run):
         'holding force [N]': {'xy'[k]: force[:, k] for k in (0, 1) if held[k]},
         'holding torque [N m]': {'on the shaft': force[:, 2]} if held[2] else {}}
     return {label: lines for label, lines in panels.items() if lines}
-
-
-def draw_floor(axes: Axes, floor: Floor | None) -> None:
-    """Draw a Floor, if not None, across what the axes show, and the direction of gravity."""
-    if floor is None:
-        return
-    axes.update_datalim(floor.arrow)
-    axes.autoscale_view()
-    place, tail, head = map(tuple, np.vstack([floor.place, floor.arrow]).tolist())
-    axes.axline(place, head, color=_GREY, linewidth=1.5, zorder=0.5)
-    axes.annotate('', head, tail, annotation_clip=True,
-                  arrowprops={'arrowstyle': '->', 'color': _GREY, 'shrinkA': 0, 'shrinkB': 0})
-    axes.annotate('g', tail, tuple(-9.0 * floor.along), textcoords='offset points', color=_GREY,
-                  fontsize='small', ha='center', va='center', annotation_clip=True)
 
 
 def write(figure: Figure, path: Path | str) -> None:
@@ -203,9 +187,8 @@ def animate(tracks: Sequence[Track], path: Path | str, fps: float = _MOST_FPS) -
     Write a GIF of tracks, laid over each other, in real time, at most 20 frames per second.
 
     The left axes show the arms in the plane of motion, each with its straight arm and the path of
-    its tip so far; where there is gravity, a floor under the carrier. The right axes show the
-    transverse deflection of the tips, with a line at now. Raises ParameterError if `fps` is not
-    above 0 and at most 1e6.
+    its tip so far, the right axes the transverse deflection of the tips, with a line at now.
+    Raises ParameterError if `fps` is not above 0 and at most 1e6.
     """
     fps = min(FPS.check(fps), _MOST_FPS)
     figure = Figure(figsize=_SIZE, dpi=_DPI, layout='constrained')
@@ -218,7 +201,6 @@ def animate(tracks: Sequence[Track], path: Path | str, fps: float = _MOST_FPS) -
               ylabel='y [m]')
     plane.set_title(', '.join(sorted({track.title for track in tracks} - {''})))
     for track, colour in zip(tracks, cycle(COLOURS)):
-        draw_floor(plane, track.floor)
         curves.plot(1e-9 * track.ns, track.curves['tip_deflection']['w'], color=colour,
                     label=track.name)
     curves.set(xlabel='time [s]', ylabel='transverse tip deflection [m]')

@@ -99,8 +99,6 @@ def _send(stream, tracks, fps, at):
     low, high = np.min(corners, axis=0), np.max(corners, axis=0)
     bounds = np.array([low - 0.05 * np.max(high - low), high])  # room for the numbers at the grid
     _log_plane(stream, bounds)
-    for track in tracks:
-        _log_floor(stream, track, bounds)
     stream.send_blueprint(_blueprint(panels, bounds, len(tracks)))
     return bounds
 
@@ -124,8 +122,6 @@ def _about(tracks, fps):
     lines = [f'- **{track.name}**: {track.note}' for track in tracks]
     lines.append(f'- grey: the arm if it did not bend; trail: {_TRAIL} frames of the tip, at most '
                  f'{fps:g} per second')
-    if any(track.floor is not None for track in tracks):
-        lines.append('- line and arrow at the carrier: floor, and direction of gravity')
     if len(tracks) > 1:
         lines.append(f'- differences are from **{tracks[0].name}**, interpolated linearly')
     return '\n'.join(lines)
@@ -185,17 +181,6 @@ class _Entities:
             scalars = rr.Scalars.columns(scalars=values[part].ravel())
             self._stream.send_columns(path, [_time(ns[part])], scalars.partition(
                 np.full(len(ns[part]), len(curves))))
-
-
-def _log_floor(stream, track, bounds):
-    """Log the Floor of a track, if there is one, and the direction of gravity."""
-    if (floor := track.floor) is not None:
-        stream.log(f'{_PLANE}/{track.name}/floor', rr.LineStrips2D(
-            [floor.line(bounds)], colors=_TICKS, radii=rr.Radius.ui_points(1.0), draw_order=-5.0),
-            static=True)
-        stream.log(f'{_PLANE}/{track.name}/gravity', rr.Arrows2D(
-            origins=floor.arrow[:1], vectors=np.diff(floor.arrow, axis=0), colors=_TICKS,
-            radii=rr.Radius.ui_points(1.5), draw_order=-5.0), static=True)
 
 
 def _log_plane(stream, bounds):

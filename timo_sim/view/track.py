@@ -16,7 +16,6 @@ from timo_sim.scene.scene import Scene
 FPS = Parameter('--fps', 30.0, 'Hz', 'frames', low=0.0, high=1e6, open_low=True)
 DEFLECTION_SCALE = Parameter('deflection_scale', 1.0, '', 'drawn deflection over the computed one',
                              low=0.0, high=1e9, open_low=True)
-_BESIDE = 0.08   # from the carrier to the arrow of gravity, and its length, in arm lengths
 
 
 class Body(NamedTuple):
@@ -29,26 +28,13 @@ class Body(NamedTuple):
     end_effector: float
 
 
-class Floor(NamedTuple):
-    """A line normal to gravity through the underside of the carrier at its first position."""
-
-    place: np.ndarray   # under the carrier, (2,) [m]
-    along: np.ndarray   # unit vector, to the right for who stands on the floor, (2,)
-    arrow: np.ndarray   # from tail to head, which is on the floor, (2, 2) [m]
-
-    def line(self, bounds: np.ndarray) -> np.ndarray:
-        """Return the ends of a line that crosses a rectangle with the corners `bounds`, (2, 2)."""
-        return self.place + np.linalg.norm(bounds[1] - bounds[0]) * np.array([-1.0, 1.0])[
-            :, np.newaxis] * self.along
-
-
 class Track:
     """
     A Run as views show it: with a name, and a multiple of its deflection in the plane.
 
     `ns` are the sim times of its n samples, not descending [ns]; `body` has the sizes of what is
-    drawn, `floor` is None without gravity. `title` states `deflection_scale` if it is not 1; one
-    that is not above 0 and at most 1e9 is a ParameterError.
+    drawn. `title` states `deflection_scale` if it is not 1; one that is not above 0 and at most
+    1e9 is a ParameterError.
     """
 
     def __init__(self, run: Any, name: str = 'run', deflection_scale: float = 1.0) -> None:
@@ -56,7 +42,6 @@ class Track:
         self._scale = DEFLECTION_SCALE.check(deflection_scale)
         self.ns = np.rint(run.t * 1e9).astype(np.int64)
         self.body = body_of(run.scene)
-        self.floor = floor_of(run.scene.values['gravity'], run.carrier[0], self.body)
         self.title = '' if self._scale == 1.0 else f'deflection x {self._scale:g}'
 
     def line(self, samples: np.ndarray | slice) -> np.ndarray:
@@ -89,12 +74,13 @@ class Track:
     @property
     def note(self) -> str:
         """What it is, in Markdown."""
-        scene, ns, gravity = self._run.scene, self.ns, self._run.scene.values['gravity']
+        scene, ns = self._run.scene, self.ns
+        x, y = scene.values['gravity']
         note = (f'formulation `{scene.values["model.formulation"]}`, '
                 f'{scene.values["model.modes"]} modes, step {1e3 * scene.step:g} ms; {len(ns)} '
                 f'samples, sim time {1e-9 * ns[0]:g} to {1e-9 * ns[-1]:g} s. The shape of the arm '
                 'is that of the modal coordinates.')
-        note += f' Gravity is {np.hypot(*gravity):.4g} m/s2.' if self.floor else ''
+        note += f' Gravity is ({x:g}, {y:g}) m/s2.' if x or y else ''
         return note + (f' The plane shows {self.title}.' if self.title else '')
 
     def frames(self, rate: float, at: float | None = None) -> np.ndarray:
@@ -105,17 +91,6 @@ class Track:
         if at is not None:
             places.append(max(np.searchsorted(self.ns, round(1e9 * at), side='right') - 1, 0))
         return np.unique(places)
-
-
-def floor_of(gravity: tuple[float, float], carrier: np.ndarray, body: Body) -> Floor | None:
-    """Return the Floor under a carrier, (2,) [m], of a `track.Body`; None without gravity."""
-    strength = float(np.hypot(*gravity))
-    if strength == 0.0:
-        return None
-    down = np.array(gravity) / strength
-    along, place = np.array([-down[1], down[0]]), carrier + 0.5 * body.carrier * down
-    head = place - _BESIDE * body.length * along
-    return Floor(place, along, np.array([head - _BESIDE * body.length * down, head]))
 
 
 def body_of(scene: Scene) -> Body:
