@@ -221,8 +221,6 @@ def test_a_scale_of_the_deflection_is_drawn_and_stated(run, tmp_path, monkeypatc
     assert np.all((low < tip) & (tip < high))
     _, lines = columns(tmp_path / 'run.rrd', '/plane/run/arm')
     assert np.abs(np.squeeze(lines)[:, -1] - tip).max(axis=1).min() < 1e-6  # single precision
-    about = static(tmp_path / 'run.rrd')['/about']['TextDocument:text'][0]
-    assert 'The plane shows deflection x 5.' in about
     _, values = columns(tmp_path / 'run.rrd', '/curves/tip_deflection/run')
     assert np.allclose(values[:, 0], run.deflection()[:, 1], rtol=0.0, atol=1e-12)  # not scaled
     for wrong in 0.0, -1.0, np.nan, np.inf, 1e10, 'large':
@@ -272,23 +270,6 @@ def test_curves_have_every_sample_and_frames_are_thinned(run, shown):
     assert 90 <= len(ns) <= 93 and round(AT * 1e9) in ns
     sample = np.searchsorted(run.t, 1e-9 * ns - 1e-6)
     assert np.allclose(np.squeeze(lines)[:, -1], run.position(LENGTH)[sample], atol=1e-6)
-
-
-def static(path):
-    """Return the static entities of a file: flat values of each component, by path."""
-    found = {}
-    for chunk in RrdReader(path).stream():
-        if chunk.is_static:
-            batch = chunk.to_record_batch()
-            found.setdefault(chunk.entity_path, {}).update(
-                (name, np.array(batch.column(name).to_pylist()[0]).ravel())
-                for name in batch.schema.names if ':' in name)
-    return found
-
-
-def test_the_note_of_a_track_states_gravity(run):
-    leaning = timo_sim.simulate(timo_sim.load_scene({'gravity': [3.0, -4.0]}), 0.01)
-    assert 'Gravity is (3, -4) m/s2' in Track(leaning).note and 'ravity' not in Track(run).note
 
 
 def test_two_runs_share_panels_and_have_their_difference(run, paper, tmp_path):

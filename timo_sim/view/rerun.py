@@ -24,7 +24,7 @@ from timo_sim.scene.parameters import Parameter, ParameterError
 from timo_sim.view.track import FPS, Track
 
 _TIMELINE = 'sim_time'
-_PLANE, _CURVES, _ABOUT = 'plane', 'curves', 'about'
+_PLANE, _CURVES = 'plane', 'curves'
 # Okabe-Ito colours, which colour-blind viewers can tell apart; greys for dark and light themes.
 _COLOURS = [(86, 180, 233), (230, 159, 0), (0, 158, 115), (204, 121, 167), (240, 228, 66),
             (213, 94, 0), (0, 114, 178)]
@@ -83,8 +83,6 @@ def write(tracks: Sequence[Track], path: Path | str, fps: float = 30.0,
 
 
 def _send(stream, tracks, fps, at):
-    stream.log(_ABOUT, rr.TextDocument(_about(tracks, fps), media_type='text/markdown'),
-               static=True)
     corners, panels = [], {}
     for run, track in enumerate(tracks):
         entities, frames = _Entities(stream, track, run, len(tracks)), track.frames(fps, at)
@@ -99,7 +97,7 @@ def _send(stream, tracks, fps, at):
     low, high = np.min(corners, axis=0), np.max(corners, axis=0)
     bounds = np.array([low - 0.05 * np.max(high - low), high])  # room for the numbers at the grid
     _log_plane(stream, bounds)
-    stream.send_blueprint(_blueprint(panels, bounds, len(tracks)))
+    stream.send_blueprint(_blueprint(panels, bounds, tracks))
     return bounds
 
 
@@ -116,15 +114,6 @@ def _differences(track, first):
             f'{name} less {first.name}': values[inside] - np.interp(
                 ns, first.ns, first.curves[source][name])
             for name, values in track.curves[source].items()}
-
-
-def _about(tracks, fps):
-    lines = [f'- **{track.name}**: {track.note}' for track in tracks]
-    lines.append(f'- grey: the arm if it did not bend; trail: {_TRAIL} frames of the tip, at most '
-                 f'{fps:g} per second')
-    if len(tracks) > 1:
-        lines.append(f'- differences are from **{tracks[0].name}**, interpolated linearly')
-    return '\n'.join(lines)
 
 
 class _Entities:
@@ -210,7 +199,7 @@ def _time(ns):
     return rr.TimeColumn(_TIMELINE, duration=np.asarray(ns).astype('timedelta64[ns]'))
 
 
-def _blueprint(panels, bounds, runs):
+def _blueprint(panels, bounds, tracks):
     """
     Return the layout of the plane with corners `bounds` and of panels.
 
@@ -220,20 +209,18 @@ def _blueprint(panels, bounds, runs):
     views = [rrb.TimeSeriesView(
         origin=f'{_CURVES}/{key}', name=title,
         plot_legend=rrb.PlotLegend(rrb.Corner2D.RightTop, visible=(
-            key in _WITH_LEGEND if runs > 1 else panels[key] > 1)))
+            key in _WITH_LEGEND if len(tracks) > 1 else panels[key] > 1)))
         for key, title in _TITLES.items() if key in panels]
     (left, bottom), (right, top) = bounds
     plane = rrb.Spatial2DView(
-        origin='/', contents=f'{_PLANE}/**', name='plane of motion, x right, y up [m]',
+        origin='/', contents=f'{_PLANE}/**',
+        name=', '.join(filter(None, ['plane of motion, x right, y up [m]', tracks[0].title])),
         visual_bounds=rrb.VisualBounds2D(x_range=(left, right), y_range=(-top, -bottom)))
     pages = [rrb.Grid(*views[:_ON_FIRST_PAGE], grid_columns=2, name='motion')]
     if len(views) > _ON_FIRST_PAGE:
         pages.append(rrb.Grid(*views[_ON_FIRST_PAGE:], grid_columns=2, name='more'))
     return rrb.Blueprint(
-        rrb.Horizontal(
-            rrb.Vertical(plane, rrb.TextDocumentView(origin=_ABOUT, name='about'),
-                         row_shares=[4, 1]),
-            rrb.Tabs(*pages, active_tab=0), column_shares=[1, 1]),
+        rrb.Horizontal(plane, rrb.Tabs(*pages, active_tab=0), column_shares=[1, 1]),
         rrb.TimePanel(timeline=_TIMELINE, expanded=False, play_state='paused'),
         rrb.BlueprintPanel(expanded=False), rrb.SelectionPanel(expanded=False))
 

@@ -71,18 +71,6 @@ class Track:
             'modal': {f'q{n}': values for n, values in enumerate(run.q.T, 1)}}
         return {panel: curves for panel, curves in panels.items() if curves}
 
-    @property
-    def note(self) -> str:
-        """What it is, in Markdown."""
-        scene, ns = self._run.scene, self.ns
-        x, y = scene.values['gravity']
-        note = (f'formulation `{scene.values["model.formulation"]}`, '
-                f'{scene.values["model.modes"]} modes, step {1e3 * scene.step:g} ms; {len(ns)} '
-                f'samples, sim time {1e-9 * ns[0]:g} to {1e-9 * ns[-1]:g} s. The shape of the arm '
-                'is that of the modal coordinates.')
-        note += f' Gravity is ({x:g}, {y:g}) m/s2.' if x or y else ''
-        return note + (f' The plane shows {self.title}.' if self.title else '')
-
     def frames(self, rate: float, at: float | None = None) -> np.ndarray:
         """Return ascending samples, at most `rate` per second, and the last until `at` [s]."""
         span = self.ns[-1] - self.ns[0]
