@@ -3,18 +3,14 @@
 
 """Views show the computed motion, curves and energy; rerun itself reads and draws them."""
 
-from contextlib import suppress
 import json
 import os
 from pathlib import Path
 import re
 import resource
 import signal
-import socket
 import subprocess
 import sys
-import time
-import urllib.request
 from xml.etree import ElementTree
 
 from command_line import call
@@ -336,25 +332,6 @@ def test_invalid_views_are_refused_in_one_line(log, tmp_path, monkeypatch, argum
     told = call('view', log, *arguments, code=2)
     assert words in told and told.count('\n') == 1
     assert not any(tmp_path.iterdir())
-
-
-def test_the_web_viewer_prints_its_address_and_ends_on_a_signal(log):
-    command = [sys.executable, '-c', 'from timo_sim.cli import main; main()', 'view', str(log),
-               '--web']
-    with subprocess.Popen(command, stdout=subprocess.PIPE, text=True,
-                          env={**os.environ, 'BROWSER': 'true'}) as process:
-        url = process.stdout.readline().split()[0]
-        page, _, feed = url.partition('?url=rerun%2Bhttp://127.0.0.1:')
-        for _ in range(3000):  # 5 minutes; longer is a hang
-            with suppress(OSError), urllib.request.urlopen(page) as answer:
-                break
-            time.sleep(0.1)
-        assert answer.status == 200
-        process.send_signal(signal.SIGTERM)
-        assert process.wait(300.0) == 0
-    for port in page.rpartition(':')[2], feed.partition('/')[0]:
-        with pytest.raises(ConnectionRefusedError):
-            socket.create_connection(('127.0.0.1', int(port))).close()
 
 
 def test_a_viewer_that_does_not_end_is_killed(monkeypatch):

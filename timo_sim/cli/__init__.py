@@ -684,15 +684,13 @@ def urdf(scene: str, settings: tuple[str, ...], library: str | None) -> None:
 @click.option('--at', type=float, metavar='SECONDS',
               help='Sim time of the picture of --png, and of a frame in the file of --save [s]; '
                    'by default the end.')
-@click.option('--web', is_flag=True, help='Open the browser instead of a window.')
 @click.option('--fps', type=click.FloatRange(min=0.0, min_open=True), default=30.0,
               show_default=True, help='Frames per second of the arm, in an animation at most 20; '
               'curves have all samples.')
 @_deflection_scale
 @_node
 def view(files: tuple[str, ...], save: str | None, png: str | None, gif: str | None,
-         at: float | None, web: bool, fps: float, deflection_scale: float,
-         node: str | None) -> None:
+         at: float | None, fps: float, deflection_scale: float, node: str | None) -> None:
     r"""
     Show recorded runs, laid over each other, in rerun or as an animation.
 
@@ -703,7 +701,7 @@ def view(files: tuple[str, ...], save: str | None, png: str | None, gif: str | N
         timo_sim view before.mcap after.mcap --png compared.png --at 1.81
         timo_sim view run.mcap --gif run.gif --deflection-scale 5
     """
-    in_rerun = save or png or web or not gif
+    in_rerun = save or png or not gif
     if at is not None and not (png or save):
         from timo_sim.scene.parameters import ParameterError
         raise ParameterError('--at is the time of a picture: it needs --png or --save')
@@ -722,7 +720,7 @@ def view(files: tuple[str, ...], save: str | None, png: str | None, gif: str | N
         animate([*tracks.values()], gif, fps)
     if in_rerun:
         from timo_sim.view.rerun import show_tracks
-        show_tracks([*tracks.values()], save, png, at, web, fps)
+        show_tracks([*tracks.values()], save, png, at, fps)
     for path in filter(None, (save, png, gif)):
         click.echo(f'{path} is written')
 

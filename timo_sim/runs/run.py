@@ -269,12 +269,12 @@ class Run(MotionFields, PointsOfArm):
         return plot(self, deflection_scale)
 
     @checked(web=FLAG)
-    def view(self, web: bool = False, deflection_scale: float = 1.0) -> None:
-        """Show the run in rerun until its window, or the browser, is closed; needs rerun-sdk."""
+    def view(self, deflection_scale: float = 1.0) -> None:
+        """Show the run in rerun until its window is closed; needs rerun-sdk."""
         with optional():
             from timo_sim.view.rerun import show_tracks
         from timo_sim.view.track import Track
-        show_tracks([Track(self, deflection_scale=deflection_scale)], web=web)
+        show_tracks([Track(self, deflection_scale=deflection_scale)])
 
     def _outputs(self):
         # These topics follow from the motion alone; sensors need the simulator.

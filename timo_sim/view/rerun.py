@@ -7,7 +7,6 @@ from collections.abc import Sequence
 from contextlib import closing
 import os
 from pathlib import Path
-import signal
 import socket
 import subprocess
 import sys
@@ -226,14 +225,14 @@ def _blueprint(panels, bounds, tracks):
 
 
 def show_tracks(tracks: Sequence[Track], save: str | None = None, png: str | None = None,
-                at: float | None = None, web: bool = False, fps: float = 30.0) -> None:
+                at: float | None = None, fps: float = 30.0) -> None:
     """
     Show tracks, unless only a file or a picture is wanted.
 
     `save` and `png` are paths of a rerun file (*.rrd) and of a picture, which is of the sim time
-    `at` [s], by default the end. With `web` they are shown in the browser; for `fps` see `write`.
-    Raises ParameterError if a path or number breaks its rule, or the time is not in the runs;
-    ViewerError if the viewer does not start or does not answer.
+    `at` [s], by default the end; for `fps` see `write`. Raises ParameterError if a path or number
+    breaks its rule, or the time is not in the runs; ViewerError if the viewer does not start or
+    does not answer.
     """
     at, fps = at if at is None else _AT.check(at), FPS.check(fps)
     if save and not str(save).endswith('.rrd'):
@@ -250,29 +249,18 @@ def show_tracks(tracks: Sequence[Track], save: str | None = None, png: str | Non
         write(tracks, path, fps, at)
         if png:
             picture(path, png, at)
-        if web or not (save or png):
-            _show(path, web)
+        if not (save or png):
+            _show(path)
 
 
-def _show(path, web):
-    """Show a rerun file until the viewer, in a window or the browser, is closed."""
-    if not web and sys.platform == 'linux' and not (
+def _show(path):
+    """Show a rerun file until the window is closed."""
+    if sys.platform == 'linux' and not (
             os.environ.get('DISPLAY') or os.environ.get('WAYLAND_DISPLAY')):
-        raise ViewerError('there is no screen (DISPLAY is not set): add --web for a browser, '
-                          '--png OUT.png for a picture or --save OUT.rrd for a file')
-    port, web_port = _free_port(), _free_port()
-    signal.signal(signal.SIGTERM, signal.default_int_handler)
-    process = _viewer('--port', str(port), *(
-        ['--web-viewer', '--web-viewer-port', str(web_port)] if web else []), path)
-    try:
-        if web:
-            print(f'http://{_LOOPBACK}:{web_port}?url=rerun%2Bhttp://{_LOOPBACK}:{port}/proxy'
-                  ' shows the run; Ctrl-C ends', flush=True)
-        code = process.wait()
-    except KeyboardInterrupt:
-        stop(process)
-        return
-    if code not in (0, -signal.SIGTERM):
+        raise ViewerError('there is no screen (DISPLAY is not set): --png OUT.png draws a '
+                          'picture, --save OUT.rrd writes a file for rerun elsewhere')
+    code = _viewer('--port', str(_free_port()), path).wait()
+    if code:
         raise ViewerError(f'the viewer of rerun ended with code {code}')
 
 
