@@ -3,7 +3,6 @@
 
 #include "log.hpp"
 
-#include <sys/file.h>
 
 #include <cerrno>
 #include <chrono>
@@ -31,7 +30,6 @@ Log::Log(const std::string & path)
   if (!file_) {
     throw std::runtime_error("record_file " + path + ": " + std::strerror(errno));
   }
-  flock(fileno(file_), LOCK_EX | LOCK_NB);  // other commands of timo_sim then know who writes it
   thread_ = std::thread([this] {run();});
 }
 

@@ -11,7 +11,6 @@ fixed limits before anything is read.
 from __future__ import annotations
 
 from collections.abc import Collection, Iterator
-import fcntl
 from io import BytesIO
 import json
 import os
@@ -101,18 +100,6 @@ def _open(path):
     return stream
 
 
-def _is_being_written(stream):
-    """Return whether a process of this package holds the lock of a log, see `write.create`."""
-    try:
-        fcntl.flock(stream, fcntl.LOCK_SH | fcntl.LOCK_NB)
-    except BlockingIOError:
-        return True
-    except OSError:
-        return False
-    fcntl.flock(stream, fcntl.LOCK_UN)
-    return False
-
-
 def _decompress(chunk):
     """Return the data of a Chunk of mcap; raise ValueError if size or checksum are wrong."""
     size = chunk.uncompressed_size
@@ -141,7 +128,7 @@ def _read_summary(stream: BinaryIO) -> Summary:
     stream.seek(max(0, size - _FOOTER.size))
     end = stream.read(_FOOTER.size)
     if len(end) < _FOOTER.size or not end.endswith(MCAP0_MAGIC) or end[0] != Opcode.FOOTER:
-        raise ValueError('it has no end: its process died, or another tool still writes it')
+        raise ValueError('it has no end: it is still being written, or its process died')
     _, _, place, _, crc, _ = _FOOTER.unpack(end)
     if not place or not _FOOTER.size < size - place <= _LARGEST_SUMMARY:
         raise ValueError('there is no summary')
@@ -216,10 +203,8 @@ class LogFile:
             try:
                 self.summary = _read_summary(stream)
             except _UNREADABLE as error:
-                reason = ('it is still being written: wait for its end, or'
-                          if _is_being_written(stream) else f'{_reason(error)}:')
-                raise LogError(f'{self.name}: {reason} timo_sim recover {self.name} makes a '
-                               'complete log of what is there') from None
+                raise LogError(f'{self.name}: {_reason(error)}: timo_sim recover {self.name} '
+                               'makes a complete log of what is there') from None
 
     def notes(self) -> LogNotes:
         """Return the metadata; raise LogError if they are malformed or of several runs."""
@@ -429,9 +414,8 @@ def recover(file: Path | str, output: Path | str | None = None) -> str:
             raise LogError(f'{printable(path)}: nothing in it is intact: {reader.damage}')
         stream.seek(len(MCAP0_MAGIC))
         new = _write(_Reader(stream).records(), reader.profile, Path(file), output)
-        state = 'it is still being written' if _is_being_written(stream) else reader.damage
         lost = os.fstat(stream.fileno()).st_size - reader.place
-    return (f'{printable(path)}: {state}; {contents}, {lost} bytes lost; '
+    return (f'{printable(path)}: {reader.damage}; {contents}, {lost} bytes lost; '
             f'complete in {printable(new)}')
 
 

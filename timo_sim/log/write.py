@@ -12,7 +12,6 @@ from __future__ import annotations
 from collections import Counter, defaultdict, deque
 from collections.abc import Iterator
 from contextlib import suppress
-import fcntl
 from itertools import count
 import os
 from pathlib import Path
@@ -306,9 +305,6 @@ def create(path: Path) -> tuple[Path, BinaryIO]:
                 name, flags | os.O_APPEND, 0o666))
         except FileExistsError:
             continue
-        with suppress(OSError):  # some network file systems have no locks
-            # Marks it as being written until the stream is closed or its process ends.
-            fcntl.flock(stream, fcntl.LOCK_EX | fcntl.LOCK_NB)
         break
     return candidate, stream
 
