@@ -3,10 +3,7 @@
 
 """Replays of logs, bags and changed scenes, against runs with the same loads in the scene."""
 
-from pathlib import Path
 import struct
-import subprocess
-import sys
 
 from command_line import call
 from mcap.opcode import Opcode
@@ -72,9 +69,9 @@ def test_a_bag_of_commands_gives_the_run_with_these_loads(bag, paper, tmp_path):
         assert len(Recording(path).topics['~/motor_torque'].step) == count
 
 
-def bag_of_runs(path, commands, states, size=0):
+def bag_of_runs(path, commands, states):
     """
-    Write a bag as rosbag2 does, in files of at most `size` bytes; return its path.
+    Write a bag as rosbag2 does; return its path.
 
     Commands are (log time, torque), states (log time, step, positions and velocities).
     """
@@ -86,19 +83,12 @@ def bag_of_runs(path, commands, states, size=0):
         STORE.types[torque](value), torque)) for time, value in commands]
     messages += [(time, '/joint_states', joints.type_name, serialize(
         divmod(step * 1000000, 10**9), [*state, 0.0, 0.0, 0.0])) for time, step, state in states]
-    messages.sort(key=lambda message: message[0])
-    count = len(messages) if not size else size
-    for number in range(0, len(messages), count):
-        with Writer(path / str(number), version=9, storage_plugin=StoragePlugin.MCAP) as writer:
-            known = {}
-            for time, topic, kind, data in messages[number:number + count]:
-                if topic not in known:
-                    known[topic] = writer.add_connection(topic, kind, typestore=STORE)
-                writer.write(known[topic], 1700000000123456789 + round(1e9 * time), bytes(data))
-        (path / f'{number}/{number}.mcap').rename(path / f'bag_{number // count}.mcap')
-        for file in (path / str(number)).iterdir():
-            file.unlink()
-        (path / str(number)).rmdir()
+    with Writer(path, version=9, storage_plugin=StoragePlugin.MCAP) as writer:
+        known = {}
+        for time, topic, kind, data in sorted(messages, key=lambda message: message[0]):
+            if topic not in known:
+                known[topic] = writer.add_connection(topic, kind, typestore=STORE)
+            writer.write(known[topic], 1700000000123456789 + round(1e9 * time), bytes(data))
     return path
 
 
@@ -117,20 +107,19 @@ def default_scene(tmp_path):
     return tmp_path / 'scene.yaml'
 
 
-def test_a_bag_without_its_scene_is_replayed_also_in_parts(tmp_path, default_scene):
+def test_a_bag_without_its_scene_is_replayed(tmp_path, default_scene):
     torques = [(0.1, 1.0), (0.7, -2.0)]
     motion = states_of(torques, 0.9)
     states = [(0.01 * k, 10 * k, state) for k, state in enumerate(motion)]
-    for size in (0, 12):
-        bag = bag_of_runs(tmp_path / f'bag{size}', torques, states, size)
-        assert len([*bag.iterdir()]) == (1 if not size else 8)
-        text = call('replay', bag, '--scene', default_scene, '-o', tmp_path / f'{size}.mcap')
-        assert f'{bag}' in text and '2 commands and 0 resets in 0.9 s' in text
-        found = Recording(tmp_path / f'{size}.mcap')
-        assert found.topics['~/motor_torque'].step.tolist() == [100, 700]
-        assert np.abs(found.topics['joint_states'].values[:, :6] - motion).max() < 1e-12
-    (bag / 'bag_3.mcap').unlink()
-    assert 'has 7 files *.mcap: name one' in call('replay', bag, '--scene', default_scene, code=2)
+    bag = bag_of_runs(tmp_path / 'bag', torques, states)
+    text = call('replay', bag, '--scene', default_scene, '-o', tmp_path / 'new.mcap')
+    assert f'{bag}' in text and '2 commands and 0 resets in 0.9 s' in text
+    found = Recording(tmp_path / 'new.mcap')
+    assert found.topics['~/motor_torque'].step.tolist() == [100, 700]
+    assert np.abs(found.topics['joint_states'].values[:, :6] - motion).max() < 1e-12
+    (bag / 'another.mcap').touch()
+    assert 'has 2 files *.mcap, and must have one: ros2 bag convert' in call(
+        'replay', bag, '--scene', default_scene, code=2)
 
 
 def test_a_bag_with_a_reset_but_without_its_scene_is_refused(tmp_path, default_scene):
@@ -164,29 +153,6 @@ def test_a_log_time_that_cannot_be_is_one_line_not_all_memory(
     text = call(*options, code=2)
     assert ' lasts ' in text and 'give --duration' in text and text.count('\n') == 1
     assert ' commands and ' in call(*options, '--duration', 0.1)
-
-
-@pytest.mark.parametrize('storage', ['db3', 'mcap.zstd'])
-def test_other_bags_are_called_what_they_are(bag, tmp_path, storage, default_scene):
-    """The command that the message names makes a bag that is replayed."""
-    to = tmp_path / 'other'
-    convert = [Path(sys.executable).with_name('rosbags-convert'), '--src', bag, '--dst', to,
-               *(['--dst-storage', 'sqlite3'] if storage == 'db3' else [
-                   '--dst-storage', 'mcap', '--compress', 'zstd', '--compress-mode', 'file'])]
-    subprocess.run(convert, check=True, capture_output=True)
-    file, = (each for each in to.iterdir() if each.suffix != '.yaml')
-    assert file.name.endswith(storage)
-    for path in (to, file):
-        for command in ('replay', 'info'):
-            text = call(command, path, code=2)
-            assert ('is SQLite, not MCAP' if storage == 'db3' else
-                    'is compressed as a whole, not MCAP') in text and text.count('\n') == 1
-    words = text[text.index('rosbags-convert'):text.index(' (pip')].split()
-    words = [convert[0], *words[1:]]
-    words[words.index('BAG')], words[words.index('NEW')] = to, tmp_path / 'new'
-    subprocess.run(words, check=True, capture_output=True)
-    assert '3 commands' in call('replay', tmp_path / 'new', '--scene', default_scene,
-                                '--duration', 1, '-o', tmp_path / 'run.mcap')
 
 
 def log_of(path, scene, torques, last):

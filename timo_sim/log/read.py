@@ -52,35 +52,15 @@ class LogError(ValueError):
     """A log that cannot be read, or a file that cannot be written; the text says which and why."""
 
 
-def files_of(path: Path | str) -> list[Path]:
-    """Return the Paths of a file, or of the parts of a bag in a folder; else raise LogError."""
-    path = Path(path)
-    inside = sorted(path.iterdir(), key=lambda file: (len(file.name), file.name)) if (
-        path.is_dir()) else [path]
-    foreign = [file for file in inside if file.suffix in ('.db3', '.zstd')]
-    if foreign:
-        kind = 'SQLite' if '.db3' in foreign[0].suffixes else 'compressed as a whole'
-        raise LogError(
-            f'{printable(foreign[0])} is {kind}, not MCAP: rosbags-convert --src BAG --dst NEW '
-            '--dst-storage mcap (pip install rosbags) makes a bag that can be read')
-    if not path.is_dir():
-        return inside
-    files = [file for file in inside if file.suffix == '.mcap']
-    # A bag that rosbag2 has split has files NAME_0.mcap, NAME_1.mcap, ...
-    name, _, first = files[0].stem.rpartition('_') if files else ('', '', '')
-    if first.isdecimal() and [file.stem for file in files] == [
-            f'{name}_{number}' for number in range(int(first), int(first) + len(files))]:
-        return files
-    if len(files) != 1:
-        raise LogError(f'{printable(path)} has {len(files)} files *.mcap: name one')
-    return files
-
-
 def file_of(path: Path | str) -> Path:
-    """Return the Path of a file, or of the only one in a bag's folder; else raise LogError."""
-    files = files_of(path)
-    if len(files) > 1:
-        raise LogError(f'{printable(path)} has {len(files)} files *.mcap: name one')
+    """Return the Path of a file, or of the only *.mcap in a bag's folder; else raise LogError."""
+    path = Path(path)
+    if not path.is_dir():
+        return path
+    files = sorted(path.glob('*.mcap'))
+    if len(files) != 1:
+        raise LogError(f'{printable(path)} has {len(files)} files *.mcap, and must have one: '
+                       'ros2 bag convert or rosbags-convert makes one file of others')
     return files[0]
 
 

@@ -23,7 +23,7 @@ import numpy as np
 
 from timo_sim.extras import optional
 from timo_sim.log.notes import original_names, printable, TEXT
-from timo_sim.log.read import files_of, LogError, LogFile
+from timo_sim.log.read import LogError, LogFile
 from timo_sim.log.rosbag2 import information, yaml_text
 from timo_sim.scene.files import check_new, whole_file
 from timo_sim.scene.parameters import frame_names, ParameterError, PARAMETERS
@@ -84,14 +84,14 @@ class Recording:
     """
     A log of this package, or a bag with the topics of a node; series are read when asked for.
 
-    `path` may be a bag's folder, also with the files of a plain bag that was split; `node` is the
-    fully qualified name of the node, needed if a bag has several. LogError is raised if the file
-    is not a log, or damaged, or incomplete: the text says what to do.
+    `path` may be a bag's folder; `node` is the fully qualified name of the node, needed if a bag
+    has several. LogError is raised if the file is not a log, or damaged, or incomplete: the text
+    says what to do.
 
     Attributes
     ----------
     title, name : str
-        Of the file, or of the folder of a split bag; the node's fully qualified name.
+        Of the file; the node's fully qualified name.
     facts, summary : dict
         What the node noted at its start ('parameters', 'numpy', ...), texts, and at its end:
         numbers, NaN where a text is none, but for 'timing'. In a bag, the facts are those of
@@ -109,13 +109,9 @@ class Recording:
     """
 
     def __init__(self, path: Path | str, node: str | None = None) -> None:
-        self.parts = [LogFile(file) for file in files_of(path)]
-        first, split = self.parts[0], len(self.parts) > 1
-        self.path, self.title = (Path(path), printable(path)) if split else (
-            first.path, first.name)
-        if split and any(file.notes().facts for file in self.parts):
-            raise LogError(f'{self.title} has {len(self.parts)} logs: name one')
-        self.facts, summary, logged, self.changes = first.notes()
+        self._file = LogFile(path)
+        self.path, self.title = self._file.path, self._file.name
+        self.facts, summary, logged, self.changes = self._file.notes()
         self.summary = {name: text if name == 'timing' else _number(text)
                         for name, text in summary.items()}
         if self.facts.get('timo_sim', '').startswith('0.1.'):
@@ -152,7 +148,7 @@ class Recording:
         """Take start, resets and changes from ~/scene, if a bag has it."""
         wanted = [channel.topic for channel, schema in self._channels()
                   if channel.topic == f'{self.name}/scene' and schema and schema.name == TEXT]
-        received = sorted(each for _, messages in self._messages(wanted) for each in zip(
+        received = sorted(each for _, messages in self._file.messages(wanted) for each in zip(
             messages.heads['publish_time'].tolist(), messages.serialized()))
         if not received:
             return
@@ -237,7 +233,7 @@ class Recording:
         collectors = {topic: _Collector(self.title, name, topic, self.frames,
                                         self.reset_times is not None)
                       for topic, name in found.items()}
-        for topic, messages in self._messages(found):
+        for topic, messages in self._file.messages(found):
             collectors[topic].add(messages)
         self._read |= {name: self._series(collectors[topic]) for topic, name in found.items()}
         return {name: self._read[name] for name in self._wanted.values() if name in names}
@@ -322,12 +318,8 @@ class Recording:
 
     def _channels(self):
         """Yield each channel, with its schema or None."""
-        for file in self.parts:
-            for channel in file.summary.channels.values():
-                yield channel, file.summary.schemas.get(channel.schema_id)
-
-    def _messages(self, topics):
-        return chain.from_iterable(file.messages(topics) for file in self.parts)
+        for channel in self._file.summary.channels.values():
+            yield channel, self._file.summary.schemas.get(channel.schema_id)
 
     def _find_node(self):
         ends = [name.removeprefix('~') for name in (*_TYPES, *_RENAMED) if name.startswith('~')]
