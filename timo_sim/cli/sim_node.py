@@ -3,7 +3,6 @@
 
 """The executable `sim_node`: signal handlers come before large imports."""
 
-from collections.abc import Callable
 import os
 import signal
 import sys
@@ -21,29 +20,17 @@ class StopRequest:
     """
     Turns SIGINT, SIGTERM and SIGHUP (unless ignored, by nohup) into a clean end, with code 0.
 
-    While modules are imported there is nothing to clean up, and an exception could appear as a
-    failed import: the process exits at once. While the node is `building` (it may compile for
-    seconds), SystemExit unwinds it. Once the node is `running`, also if C code has swallowed that,
-    its loop sees `set`. Further signals are ignored, so that they cannot interrupt the clean-up.
+    Until the node is `running` there is nothing to clean up: the process exits at once. Then its
+    loop sees `set`.
     """
 
     def __init__(self) -> None:
-        self.set = False
-        self._end: Callable[[], None] = lambda: os._exit(0)
+        self.set = self.running = False
         self._numbers = [signal.SIGINT, signal.SIGTERM]
         if signal.getsignal(signal.SIGHUP) is not signal.SIG_IGN:
             self._numbers.append(signal.SIGHUP)
         for number in self._numbers:
             signal.signal(number, self._handle)
-
-    def building(self) -> None:
-        """Say that all imports are done."""
-        self._end = sys.exit
-        sys.unraisablehook = _ignore_exit
-
-    def running(self) -> None:
-        """Say that a loop checks `set` from now on."""
-        self._end = lambda: None
 
     def finished(self) -> None:
         """Ignore signals: the interpreter's shutdown undoes Python's handlers, but not SIG_IGN."""
@@ -51,14 +38,9 @@ class StopRequest:
             signal.signal(number, signal.SIG_IGN)
 
     def _handle(self, number, frame):
-        first, self.set = not self.set, True
-        if first:
-            self._end()
-
-
-def _ignore_exit(unraisable):
-    if not isinstance(unraisable.exc_value, SystemExit):
-        sys.__unraisablehook__(unraisable)
+        self.set = True
+        if not self.running:
+            os._exit(0)
 
 
 def main(args: list[str] | None = None) -> int:

@@ -14,6 +14,7 @@ import rclpy
 from rclpy.exceptions import NameValidationException, ParameterException
 from rclpy.executors import ExternalShutdownException
 from rclpy.signals import SignalHandlerOptions
+from rclpy.utilities import remove_ros_args
 
 from timo_sim.ros.node import SimNode
 from timo_sim.ros.private import Executor, RCLError
@@ -41,17 +42,6 @@ def use_profiles() -> None:
             or any(name in os.environ for name in users)):
         os.environ.update({_PROFILES: str(Path(__file__).with_name('fastdds.xml')),
                            _USE_PROFILES: '1'})
-
-
-def _not_for_ros(arguments):
-    # As rclpy's remove_ros_args does, which would read all parameter files once more.
-    found, for_ros = [], False
-    for argument in arguments:
-        if for_ros or argument == '--ros-args':
-            for_ros = argument != '--'
-        else:
-            found.append(argument)
-    return found
 
 
 def _refuse(error, code=2):
@@ -88,7 +78,6 @@ def run(stop: Any, args: list[str] | None) -> int:
             except Exception as error:  # one client's request must not end the node for all
                 node.count_failure(error)
 
-    stop.building()
     use_profiles()
     given, files = sys.argv if args is None else args, {}
     try:
@@ -97,7 +86,7 @@ def run(stop: Any, args: list[str] | None) -> int:
                 # This also refuses names that are there twice, which rcl accepts.
                 files[file] = read_sections(file)
         rclpy.init(args=args, signal_handler_options=SignalHandlerOptions.NO)
-        for argument in _not_for_ros(given)[args is None:]:
+        for argument in remove_ros_args(args)[args is None:]:
             raise ParameterError(f'{argument!r} must be inside of --ros-args, as in '
                                  '--ros-args -p duration:=10.0; --help says more')
     except (ParameterError, RuntimeError, UnicodeError) as error:  # arguments, or a file
@@ -110,7 +99,7 @@ def run(stop: Any, args: list[str] | None) -> int:
         return _refuse(error, code=1)
     for file, sections in files.items():
         _warn_of_unused_file(node, file, sections)
-    stop.running()
+    stop.running = True
     gc.freeze()  # objects made so far last: the collector need not scan them while ticking
     executor = Executor()
     executor.add_node(node)
