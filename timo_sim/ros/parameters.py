@@ -5,12 +5,10 @@
 
 from collections.abc import Callable, Mapping
 import math
-import sys
 from types import MappingProxyType
 from typing import Any
 
-from rcl_interfaces.msg import (
-    FloatingPointRange, IntegerRange, ParameterDescriptor, SetParametersResult)
+from rcl_interfaces.msg import ParameterDescriptor, SetParametersResult
 from rcl_interfaces.srv import SetParameters, SetParametersAtomically
 from rclpy.exceptions import ParameterNotDeclaredException
 from rclpy.node import Node
@@ -60,8 +58,11 @@ class ParameterNode(Node):
         them.
         """
         for name, rule in PARAMETERS.items():
-            parameter, descriptor = _of_rclpy(name, values[name]), _descriptor(rule)
-            descriptor.type = parameter.type_.value
+            parameter = _of_rclpy(name, values[name])
+            unit = f' [{rule.unit}]' if rule.unit else ''
+            descriptor = ParameterDescriptor(
+                type=parameter.type_.value, description=rule.meaning + unit,
+                additional_constraints=rule.rule, read_only=not rule.runtime)
             # In three steps, because rclpy cannot infer the type of an empty list.
             self.declare_parameter(name, parameter.type_, ignore_override=True)
             self.set_parameters([parameter])
@@ -83,8 +84,8 @@ class ParameterNode(Node):
     def create_service(self, srv_type: Any, srv_name: str, callback: Callable,
                        **options: Any) -> Service:
         """Offer a service; the callbacks of rclpy's own services that set are replaced."""
-        callback = {SetParameters: self._set_each, SetParametersAtomically: self._set_all}.get(
-            srv_type, callback)
+        if srv_type in (SetParameters, SetParametersAtomically):
+            callback = self._set
         return super().create_service(srv_type, srv_name, callback, **options)
 
     def set_parameters_atomically(
@@ -98,37 +99,23 @@ class ParameterNode(Node):
         except ParameterError as error:
             return _refused(error)
 
-    def _set_each(self, request, response):
-        # rclpy sets them one by one, and so would refuse lists that must change together, and make
-        # two impacts of mass and inertia.
-        together = {}
-        for message in request.parameters:
-            together.setdefault(_group(message.name), []).append(message)
-        results = {group: self._set(messages) for group, messages in together.items()}
-        response.results = [results[_group(message.name)] for message in request.parameters]
-        return response
-
-    def _set_all(self, request, response):
-        response.result = self._set(request.parameters)
-        return response
-
-    def _set(self, messages):
-        # What rclpy cannot read would otherwise get no answer.
+    def _set(self, request, response):
+        # All of a call together, because lists of a load change their lengths together. What rclpy
+        # cannot read would otherwise get no answer.
         try:
-            parameters = [Parameter.from_parameter_msg(message) for message in messages]
+            result = self.set_parameters_atomically(
+                [*map(Parameter.from_parameter_msg, request.parameters)])
         except ValueError as error:
-            return _refused(f'a parameter cannot be read: {error}')
-        return self.set_parameters_atomically(parameters)
+            result = _refused(f'a parameter cannot be read: {error}')
+        if isinstance(response, SetParametersAtomically.Response):
+            response.result = result
+        else:
+            response.results = [result] * len(request.parameters)
+        return response
 
 
 def _is_list(name):
     return name in PARAMETERS and isinstance(PARAMETERS[name].default, tuple)
-
-
-def _group(name):
-    # Parameters of one group are set together: the lists of a load, what the end effector carries.
-    group = name.rpartition('.')[0]
-    return group if _is_list(name) or group == 'end_effector' else name
 
 
 def _refused(error):
@@ -161,19 +148,3 @@ def steps_between_messages(values: dict[str, Any], step: float) -> dict[str, int
     return {rate: whole_ratio('1/integrator.step', 1.0 / step, rate, values[rate])
             if values.get(f'publish_{rate.removeprefix("rate.")}', True)
             else max(1, math.ceil(round(1.0 / step / values[rate], 6))) for rate in RATES}
-
-
-def _descriptor(parameter):
-    unit = f' [{parameter.unit}]' if parameter.unit else ''
-    descriptor = ParameterDescriptor(
-        description=parameter.meaning + unit, additional_constraints=parameter.rule,
-        read_only=not parameter.runtime)
-    if isinstance(parameter.default, float) and parameter.low > -math.inf:
-        high = min(parameter.high, sys.float_info.max) if parameter.finite else math.inf
-        # Floats, because rclpy would write a whole number's bits into these fields.
-        descriptor.floating_point_range = [
-            FloatingPointRange(from_value=float(parameter.low), to_value=float(high))]
-    elif type(parameter.default) is int:
-        descriptor.integer_range = [
-            IntegerRange(from_value=int(parameter.low), to_value=int(parameter.high), step=1)]
-    return descriptor
