@@ -182,7 +182,7 @@ def jitter_rows(seconds, long):
         yield (f'interval at {rate} Hz, p50 / p99 / max', f'{1e6 / rate:.0f} us',
                spread(np.diff(ticks[:, 0])) + ' us', None, '')
     late, lost = (re.search(pattern, output) for pattern in (
-        r'(\d+) of \d+ ticks were late', r'(\S+) s of sim time were lost'))
+        r'(\d+) late ticks', r'(\S+) s of sim time were lost'))
     yield (f'sim time dropped in {long:g} s at 1 kHz', '0 s', f'{lost[1] if lost else 0} s',
            not lost, f'{late[1] if late else 0} overruns')
 

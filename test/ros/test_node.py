@@ -169,7 +169,7 @@ def test_free_runs_drop_nothing_and_end_at_the_largest_time_of_a_stamp(start):
     rates = dict.fromkeys(RATES, 1e-6)
     code, output = start(real_time_factor=0.0, duration=5.0).wait()
     assert code == 0
-    assert 'simulated 5 s' in output and ' s; no sim time was lost' in output
+    assert 'simulated 5 s' in output and ' no sim time was lost' in output
     code, output = start(real_time_factor=0.0, **{'integrator.step': 1000.0}, **rates).wait()
     assert code == 0 and 'simulated 2.14748e+09 s' in output and 'Traceback' not in output
 

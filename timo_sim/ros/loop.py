@@ -251,15 +251,14 @@ class Pace:
     """
     Paces sim time by wall time and the real-time factor; `step` is in [s].
 
-    Unless the loop `waits` for commands, it counts `ticks`, `overruns`, those later than the
-    deadline of the next one, by up to `latest` [s], and `dropped_steps`, given up because they
-    were beyond the catch-up limit.
+    Unless the loop `waits` for commands, it counts `overruns`, ticks later than the deadline of
+    the next one, and `dropped_steps`, given up because they were beyond the catch-up limit.
     """
 
     def __init__(self, step: float, waits: bool = False) -> None:
         self._step, self._waits = step, waits
-        self._factor, self.latest = math.nan, 0.0  # the factor is not set yet
-        self.ticks = self.overruns = self.dropped_steps = 0
+        self._factor = math.nan  # not set yet
+        self.overruns = self.dropped_steps = 0
 
     def set(self, factor: float, limit: float, steps: int, now: float) -> None:
         """Set the real-time factor, 0 for as fast as possible, and the catch-up limit [s]."""
@@ -283,11 +282,8 @@ class Pace:
         elapsed = (now - self._base_time) * self._factor / self._step
         # A step is due when the clock reads its deadline: rounding must not delay it by a tick.
         behind = self._base_steps + math.floor(elapsed + 1e-6) - steps
-        if not self._waits:
-            self.ticks += behind > 0
-            if behind >= 2 * self._tick_steps:
-                self.overruns += 1
-                self.latest = max(self.latest, now - self.deadline(steps))
+        if behind >= 2 * self._tick_steps and not self._waits:
+            self.overruns += 1
         most = max(self._tick_steps, math.floor(self._limit * self._factor / self._step))
         if behind > most:
             self.dropped_steps += 0 if self._waits else behind - most
@@ -297,12 +293,9 @@ class Pace:
 
     def report(self) -> str:
         """Say how many ticks were late and whether sim time was lost."""
-        late = (f'{self.overruns} of {self.ticks} ticks were late by up to '
-                f'{1e3 * self.latest:.4g} ms; ' if self.overruns else '')
         lost = self.dropped_steps * self._step
-        if lost:
-            return f'{late}{lost:.6g} s of sim time were lost to delays beyond catch_up_limit'
-        return f'{late}all were caught up, no sim time was lost' if late else (
+        return f'{self.overruns} late ticks, ' + (
+            f'{lost:.6g} s of sim time were lost to delays beyond catch_up_limit' if lost else
             'no sim time was lost')
 
     def deadline(self, steps: int) -> float:
