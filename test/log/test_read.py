@@ -328,10 +328,9 @@ def test_a_log_without_a_whole_summary_is_refused(source, tmp_path):
 def test_an_unknown_order_at_a_reset_is_refused(with_reset, tmp_path):
     assert len(Recording(with_reset).resets) == 1
     replayed(with_reset)
-    for order, words in ((shuffled, 'it does not say which messages were before a reset'), (
-            list, 'whether .* at the step of a reset was before or after it is not known')):
+    for order in (shuffled, list):
         path = rewritten(with_reset, tmp_path / 'run.mcap', messages_first(order))
-        assert re.search(words, call('replay', path, code=2))
+        assert 'does not say which messages were before a reset' in call('replay', path, code=2)
 
 
 @pytest.mark.parametrize('lie', [b'\0', b'\1', b'\xff'])

@@ -56,9 +56,9 @@ class Series:
     sim time of the message [ns]: in a log from its step, in a bag the header's stamp. Stamps of
     commands do not say when they acted: there it is the log time by the node's clock, if that is
     known. `log_ns` is when the message was logged, or published in a bag with ~/scene [ns].
-    `resets` says how many resets were before a message, -1 if that is not known. `values`, shape
-    (n, k), are NaN for what a command does not set. Commands that the node refused are left out
-    and counted. `data` are a command's messages, CDR.
+    `resets` says how many resets were before a message. `values`, shape (n, k), are NaN for what a
+    command does not set. Commands that the node refused are left out and counted. `data` are a
+    command's messages, CDR.
     """
 
     topic: str
@@ -99,8 +99,7 @@ class Recording:
     resets : ndarray of int
         Steps at which the motion was reset.
     changes : list of tuple
-        (step, resets before it in the file, values by name) of each setting of the scene's
-        parameters.
+        (step, resets before it, values by name) of each setting of the scene's parameters.
     unread : dict of str
         By topic of the node, why its messages are not read.
     reset_times : ndarray of int or None
@@ -117,8 +116,7 @@ class Recording:
         if self.facts.get('timo_sim', '').startswith('0.1.'):
             raise LogError(f'{self.title} is of timo_sim {self.facts["timo_sim"][:9]}: read it '
                            'with timo_sim 0.2.0, the last version that can')
-        self.resets = np.array(sorted(logged), dtype=np.int64)
-        self._resets_in_order = self.resets.tolist() == logged
+        self.resets = np.array(logged, dtype=np.int64)
         self.name = self.facts.get('node') or node or self._find_node()
         if node and node != self.name:
             raise LogError(f'{self.title} is a log of the node {self.name}, got '
@@ -126,6 +124,9 @@ class Recording:
         self.reset_times: np.ndarray | None = None
         if not self.facts:
             self._read_scene()
+        if self.changes:
+            steps, resets, _ = zip(*self.changes)
+            self._check_order(np.array(steps), np.array(resets))
         # If ros2_control publishes joint_states, the node publishes its own below its name.
         topics = {channel.topic for channel, _ in self._channels()}
         own, usual = f'{self.name}/joint_states', f'{self.name.rpartition("/")[0]}/joint_states'
@@ -295,17 +296,12 @@ class Recording:
                     now = tip
         return tuple(found)
 
-    def resets_before(self, step: np.ndarray, found: np.ndarray) -> np.ndarray:
-        """
-        Return the number of resets before messages; `found` is that by their order in the file.
-
-        It is -1 if the order in the file, which decides at the step of a reset, contradicts steps:
-        the file was rewritten.
-        """
+    def _check_order(self, step, resets):
+        """Raise LogError unless messages at these steps were behind so many resets, (n,) each."""
         first, last = (np.searchsorted(self.resets, step, side) for side in ('left', 'right'))
-        if not self._resets_in_order or ((found < first) | (found > last)).any():
-            found = np.where(first < last, -1, found)
-        return np.where(found < 0, -1, np.clip(found, first, last))
+        if (resets < first).any() or (resets > last).any() or (np.diff(self.resets) < 0).any():
+            raise LogError(f'{self.title} is in another order than it was logged in, so that it '
+                           'does not say which messages were before a reset')
 
     def short_name(self, topic: str) -> str:
         """Return a topic's name before remapping: '~/tip_pose', 'joint_states', '/clock'."""
@@ -362,10 +358,8 @@ class Recording:
         if command and found.step.any() and ((step - found.step) % _WRAP).any():
             raise LogError(f'{self.title}: log times of {found.topic[:80]} do not agree with its '
                            'sequence numbers, which are time steps')
-        if (np.diff(step) < 0).any() and np.isin(step, self.resets).any():
-            raise LogError(f'{self.title}: {found.topic[:80]} is in another order than it was '
-                           'logged in, so that it does not say which messages were before a reset')
-        return replace(found, step=step, resets=self.resets_before(step, found.resets),
+        self._check_order(step, found.resets)
+        return replace(found, step=step,
                        ns=np.rint(step * self.scene.step * 1e9).astype(np.int64))
 
     def _in_plain_bag(self, found, command):

@@ -206,8 +206,6 @@ class _Recorded:
         topics = recording.topics
         if not any(len(series.ns) for series in topics.values()):
             raise recording.lacks(f'messages of {recording.name}')
-        self._changed = [int(recording.resets_before(*when)) for *when, _ in recording.changes]
-        self._refuse_other_order()
         self._outputs = {output.name: output for output in scene.outputs}
         self._ratio, self.resets = math.nan, []
         if recording.facts:
@@ -235,15 +233,6 @@ class _Recorded:
         self._late = _delays_in_steps(self._outputs, scene, scene.step)
         if not recording.facts and 'joint_states' in motions:
             _refuse_reset(recording, motions['joint_states'], scene)
-
-    def _refuse_other_order(self):
-        for topic, resets in (
-                *((series.topic, series.resets) for series in self._recording.topics.values()),
-                ('a setting', np.array(self._changed))):
-            if (resets < 0).any():
-                raise LogError(f'{self._recording.title} is in another order than it was logged '
-                               f'in: whether {topic[:80]} at the step of a reset was before or '
-                               'after it is not known')
 
     def _steps(self, series):
         if self._recording.facts:
@@ -285,8 +274,7 @@ class _Recorded:
     def changes(self, number):
         """Return the changes of a segment, as in `Segment`."""
         return [(int(_round_up(step * self._ratio)), values)
-                for count, (step, _, values) in zip(self._changed, self._recording.changes)
-                if count == number]
+                for step, resets, values in self._recording.changes if resets == number]
 
     def motion(self, number, end):
         """Return the steps of a segment's messages by topic, and their numbers."""
