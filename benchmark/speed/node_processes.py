@@ -182,13 +182,9 @@ def sim_node(path, extra):
     from timo_sim.cli.sim_node import StopRequest
     from timo_sim.ros.node import SimNode
     from timo_sim.ros.process import run
-    ticks = Ticks()
-
-    class Timed(SimNode):
-        def _tick(self):
-            return ticks.time(super()._tick, lambda: self._simulator.steps)
-
-    code = run(StopRequest(), extra, Timed)
+    ticks, tick = Ticks(), SimNode._tick
+    SimNode._tick = lambda node: ticks.time(lambda: tick(node), lambda: node._simulator.steps)
+    code = run(StopRequest(), extra)
     ticks.save(path)
     return code
 

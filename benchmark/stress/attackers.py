@@ -229,7 +229,7 @@ def two(namespace):
     from timo_sim.cli.sim_node import StopRequest
     from timo_sim.ros.node import SimNode
     stop = StopRequest()
-    stop.running()
+    stop.running = True
     nodes = [SimNode(stop, namespace=name, parameter_overrides=[
         rclpy.Parameter('record_file', value=f'{name}.mcap'),
         rclpy.Parameter('initial.shaft_velocity', value=speed)])

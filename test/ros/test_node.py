@@ -274,7 +274,6 @@ def test_steps_and_a_pause_end_with_state_and_clock_and_the_log_is_the_same(
 
 def test_a_state_is_repeated_only_for_new_subscribers(client):
     """A client that steps slowly gets each state once."""
-    client.qos_of = lambda kind, topic: None  # no parameters give a QoS
     outlet = Outlet(client, 'joint_states', 'sensor_msgs/msg/JointState')
     assert not outlet.watched_anew(time.monotonic())
     client.collect(JointState, '/joint_states')
