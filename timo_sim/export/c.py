@@ -21,157 +21,6 @@ from timo_sim.scene.parameters import checked, FLAG, ParameterError, PATH, short
 from timo_sim.scene.scene import load_scene, SceneLike
 from timo_sim.version import __version__
 
-# The templates have `name` and `NAME` as words or first parts of words, see `_fill`.
-_HEADER = """\
-/*
- * A flexible arm, exported by timo_sim $version for $target.
- *
- * An instance lives in memory that its caller owns, NAME_SIZE bytes at an address that is a
- * multiple of 8. Nothing is allocated or printed. Instances are independent; one instance is for
- * one thread at a time. Functions return NAME_OK or another code of enum name_code; a call that
- * fails changes nothing, but a step that diverges leaves the steps before it done.
- */
-#ifndef NAME_H
-#define NAME_H
-
-#include <stddef.h>
-#include <stdint.h>
-
-#ifdef __cplusplus
-extern "C" {
-#endif
-
-#define NAME_STEP $step /* time step [s] */
-#define NAME_SIZE $size /* of an instance [bytes] */
-#define NAME_STATE_SIZE $saved /* count of numbers of a saved state */
-#define NAME_INPUTS $inputs /* count of inputs */
-#define NAME_OUTPUTS $outputs /* count of outputs */
-#define NAME_PARAMETERS $parameters /* count of parameters */
-#define NAME_MOTION $motion /* count of numbers of a motion */
-#define NAME_SHAPE $drawn /* count of points of a shape */
-
-enum name_code {
-$codes
-};
-
-/* Inputs act besides the loads of the scene, from the next step on until they are set again. */
-enum name_input {
-$input_list
-};
-
-enum name_output {
-$output_list
-};
-
-/* Parameters are the scene's until they are set; they are > 0, and INFINITY is no limit. */
-enum name_parameter {
-$parameter_list
-};
-
-typedef struct name name;
-
-/* Size of an instance in bytes, NAME_SIZE. */
-size_t name_size(void);
-
-/* Make an instance of `size` bytes of memory, at the start of the scene; it is a name * then. */
-int name_create(void *memory, size_t size);
-
-/* Return to the start of the scene, with inputs 0; parameters stay. */
-int name_reset(name *instance);
-
-/* Set or get an input. */
-int name_set_input(name *instance, int input, double value);
-int name_get_input(const name *instance, int input, double *value);
-
-/* Set or get a parameter; what acts of inputs goes on from its value at this step. */
-int name_set_parameter(name *instance, int parameter, double value);
-int name_get_parameter(const name *instance, int parameter, double *value);
-
-/* Advance by some time steps, under constant inputs. */
-int name_step(name *instance, int64_t steps);
-
-/*
- * Get the derivatives of the motion after the next step, which is not done, under the inputs of
- * now: values[k][i] is that of number i by number k of the motion now or, from NAME_MOTION on, by
- * input k - NAME_MOTION. A motion is carrier x, y and shaft, the modal coordinates, then the rate
- * of each; rows and columns of what is held, locked or driven are 0.
- */
-int name_step_derivatives(name *instance,
-                          double values[NAME_MOTION + NAME_INPUTS][NAME_MOTION]);
-
-/* Get an output, or all of them, at the end of the last step; the first call computes them. */
-int name_get_output(name *instance, int output, double *value);
-int name_get_outputs(name *instance, double values[NAME_OUTPUTS]);
-
-/*
- * Get the arm's shape, to draw: x and y of points of the centre line in the world [m], at equal
- * distances along the arm from its root, which is the hub's radius from the carrier, to its tip.
- */
-int name_get_shape(name *instance, double values[NAME_SHAPE][2]);
-
-/* Get or set the state: time, inputs, parameters, motion; runs go on from it to the last bit. */
-int name_get_state(const name *instance, double values[NAME_STATE_SIZE]);
-int name_set_state(name *instance, const double values[NAME_STATE_SIZE]);
-
-/* Texts; "unknown" for a number that is none. */
-const char *name_error_text(int code);
-const char *name_input_name(int input);
-const char *name_input_unit(int input);
-const char *name_output_name(int output);
-const char *name_output_unit(int output);
-const char *name_parameter_name(int parameter);
-const char *name_parameter_unit(int parameter);
-
-#ifdef __cplusplus
-}
-#endif
-
-#endif
-"""
-
-_MAIN = """\
-/* Run it$under and print a table. */
-#include <stdio.h>
-
-#include "name.h"
-
-static double memory[(NAME_SIZE + 7) / 8];
-
-int main(void)
-{
-    static const int shown[] = {
-        NAME_TIME, NAME_SHAFT, NAME_TIP_X, NAME_TIP_Y, NAME_TIP_TRANSVERSE};
-    const int count = sizeof shown / sizeof *shown;
-    name *instance = (name *)memory;
-    int code = name_create(memory, sizeof memory);
-$command
-    for (int k = 0; k < count; ++k)
-        printf("%16s%s", name_output_name(shown[k]), k + 1 < count ? " " : "\\n");
-    for (int row = 0; code == NAME_OK && row <= 20; ++row) {
-        double outputs[NAME_OUTPUTS];
-        name_get_outputs(instance, outputs);
-        for (int k = 0; k < count; ++k)
-            printf("%16.9g%s", outputs[shown[k]], k + 1 < count ? " " : "\\n");
-        code = name_step(instance, $steps);
-    }
-    if (code != NAME_OK)
-        fprintf(stderr, "%s\\n", name_error_text(code));
-    return code;
-}
-"""
-
-_CMAKE = """\
-cmake_minimum_required(VERSION 3.16)
-project(name C)
-
-add_library(name STATIC $${CMAKE_CURRENT_SOURCE_DIR}/name.o)
-set_target_properties(name PROPERTIES LINKER_LANGUAGE C)
-target_include_directories(name INTERFACE $${CMAKE_CURRENT_SOURCE_DIR})
-
-add_executable(main main.c)
-target_link_libraries(main name)
-"""
-
 # The type NAME in the header, and variables of it in C and C++, cannot have these names.
 _TAKEN = frozenset(
     """alignas alignof and and_eq asm auto bitand bitor bool break case catch char class compl
@@ -253,10 +102,10 @@ def write_c(scene: SceneLike, folder: Path | str, target: str = 'host', estimate
     made = library(scene, estimate, target, name, derivatives)
     folder.mkdir(parents=True, exist_ok=True)
     for file, content in {
-            f'{name}.h': _header(made, scene.step, target, name).encode(),
+            f'{name}.h': _header(made, scene.step, target, name),
             f'{name}.o': made.content,
-            'main.c': _main(made.interface, scene.step, name).encode(),
-            'CMakeLists.txt': _fill(_CMAKE, name).encode()}.items():
+            'main.c': _main(made.interface, scene.step, name),
+            'CMakeLists.txt': _fill('CMakeLists.txt', name)}.items():
         with whole_file(folder / file) as path:
             path.write_bytes(content)
     return folder
@@ -282,10 +131,15 @@ def link(folder: Path | str, sources: list[str], exports: str) -> bytes:
     return Path(folder, 'linked.so').read_bytes()
 
 
+def _named(text, name):
+    return re.sub(r'\b(name|NAME)(?=\b|_)', lambda found: (
+        name if found[0] == 'name' else name.upper()), text)
+
+
 def _fill(template, name, **words):
-    named = re.sub(r'\b(name|NAME)(?=\b|_)', lambda found: (
-        name if found[0] == 'name' else name.upper()), template)
-    return Template(named).substitute(words)
+    # Templates are files of this folder, with `name` and `NAME` as words or first parts of words.
+    text = Path(__file__).with_name(template).read_text(encoding='utf-8')
+    return Template(_named(text, name)).substitute(words).encode()
 
 
 def _enum(name, quantities):
@@ -298,17 +152,17 @@ def _enum(name, quantities):
 def _header(made, step, target, name):
     inputs, outputs, parameters, _ = made.interface
     return _fill(
-        _HEADER, name, version=__version__, target=target, step=repr(step), size=made.size,
+        'name.h', name, version=__version__, target=target, step=repr(step), size=made.size,
         saved=made.saved, inputs=len(inputs), outputs=len(outputs), parameters=len(parameters),
         codes=_enum(name, [Quantity(code.name, '', TEXTS[code]) for code in Code]),
         input_list=_enum(name, inputs), output_list=_enum(name, outputs),
         parameter_list=_enum(name, parameters), motion=made.motion, drawn=DRAWN)
 
 
-def _main(interface: Interface, step: float, name: str) -> str:
+def _main(interface: Interface, step: float, name: str) -> bytes:
     # A tenth of a second or at least a step a row; a torque, where it does anything.
     torque = any(each.title == 'torque' for each in interface.inputs)
     command = ('    if (code == NAME_OK)\n'
                '        code = name_set_input(instance, NAME_TORQUE, 1.0);') if torque else ''
-    return _fill(_MAIN, name, command=_fill(command, name), steps=max(1, round(0.1 / step)),
+    return _fill('main.c', name, command=_named(command, name), steps=max(1, round(0.1 / step)),
                  under=' under a torque of 1 N m' if torque else '')
