@@ -371,9 +371,7 @@ def test_refused(tmp_path):
             ({'model.accuracy': 1e-5}, {}, 'model.accuracy must be 0'),
             ({'carrier.held': 'x', 'model.axial_modes': 1}, {}, 'model.axial_modes must be 0'),
             ({}, {'target': 'pdp11'}, 'target must be host, x86-64-v2'),
-            ({}, {'name': 'my arm'}, 'name must be'),
-            *(({}, {'name': name}, 'name must be no word of C')
-              for name in ('int', 'class', 'printf', 'size_t', 'main'))):
+            ({}, {'name': 'my arm'}, 'name must be')):
         with pytest.raises(timo_sim.ParameterError, match=message):
             timo_sim.export_c(scene_of(changes), tmp_path / 'arm', **options)
         assert not (tmp_path / 'arm').exists()

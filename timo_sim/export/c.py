@@ -21,25 +21,6 @@ from timo_sim.scene.parameters import checked, FLAG, ParameterError, PATH, short
 from timo_sim.scene.scene import load_scene, SceneLike
 from timo_sim.version import __version__
 
-# The type NAME in the header, and variables of it in C and C++, cannot have these names.
-_TAKEN = frozenset(
-    """alignas alignof and and_eq asm auto bitand bitor bool break case catch char class compl
-    concept const consteval constexpr constinit const_cast continue co_await co_return co_yield
-    decltype default delete do double dynamic_cast else enum explicit export extern false float
-    for friend goto if inline int linux long mutable namespace new noexcept not not_eq nullptr
-    operator or or_eq private protected public register reinterpret_cast requires restrict return
-    short signed sizeof static static_assert static_cast struct switch template this thread_local
-    throw true try typedef typeid typename typeof typeof_unqual union unix unsigned using virtual
-    void volatile wchar_t while xor xor_eq
-    clearerr fclose feof ferror fflush fgetc fgetpos fgets fopen fprintf fputc fputs fread freopen
-    fscanf fseek fsetpos ftell fwrite getc getchar gets getline getdelim perror popen pclose printf
-    putc putchar puts remove rename rewind scanf setbuf setvbuf snprintf sprintf sscanf stderr
-    stdin stdout tmpfile tmpnam ungetc vfprintf vfscanf vprintf vscanf vsnprintf vsprintf vsscanf
-    main instance code memory shown count values outputs value input output parameter steps state
-    step size time clock signal div abs labs exit abort atexit free malloc calloc realloc qsort
-    rand srand system getenv index exp log sin cos tan sqrt pow floor ceil fabs read write open
-    close""".split())
-
 
 @checked(folder=PATH, estimate=FLAG, name=TEXT)
 def export_c(scene: SceneLike, folder: Path | str, target: str = 'host', estimate: bool = False,
@@ -63,7 +44,7 @@ def export_c(scene: SceneLike, folder: Path | str, target: str = 'host', estimat
         Whether a finer run is advanced beside, to estimate the error of the tip; doc/scene.md
         says what that costs.
     name : str
-        First part of all names in C.
+        First part of all names in C; a compiler refuses words of C and of its library.
 
     Returns
     -------
@@ -94,8 +75,6 @@ def write_c(scene: SceneLike, folder: Path | str, target: str = 'host', estimate
     if not re.fullmatch('[a-z][a-z0-9_]*', name):
         raise ParameterError('name must be lower-case letters, digits and _, got '
                              f'{short(name)}')
-    if name in _TAKEN or name.endswith('_t'):
-        raise ParameterError(f'name must be no word of C or its library, got {short(name)}')
     for file in (f'{name}.h', f'{name}.o', 'main.c', 'CMakeLists.txt'):
         check_target(folder / file)
     refuse(scene, estimate)
