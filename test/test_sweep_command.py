@@ -1,9 +1,10 @@
 # Copyright 2026 The timo_sim authors
 # SPDX-License-Identifier: Apache-2.0
 
-"""`timo_sim sweep`: file in, Parquet out; refusals; killed and resumed; on a Dask cluster."""
+"""`timo_sim sweep`: file in, Parquet out; refusals; killed; on a Dask cluster."""
 
 from contextlib import chdir
+import math
 import os
 from pathlib import Path
 import signal
@@ -18,7 +19,7 @@ import pytest
 import yaml
 
 import timo_sim
-from timo_sim.runs.sweep import executor_of, read_plan
+from timo_sim.runs.sweep import executor_of, jobs_of, read_plan, run_job
 
 # With -P as the installed command: neither has the working directory among its paths.
 COMMAND = [sys.executable, '-P', '-c', 'from timo_sim.cli import main; main(prog_name="timo_sim")']
@@ -60,17 +61,19 @@ def refused(path, folder):
 
 
 def rows(path):
-    return parquet.read_table(path).to_pydict()
+    return {name: [math.nan if cell is None else cell for cell in column]
+            for name, column in parquet.read_table(path).to_pydict().items()}
 
 
-def wait_for_parts(folder, count):
-    """Return the paths of the parts as soon as there are `count` of them."""
+def children_of(process):
+    """Return the ids of a process's own processes as soon as it has two."""
     for _ in range(round(PATIENCE / 0.01)):
-        parts = sorted(folder.glob('study.parquet.parts/*.parquet'))
-        if len(parts) >= count:
-            return parts
+        found = [int(pid) for task in Path(f'/proc/{process.pid}/task').iterdir()
+                 for pid in (task / 'children').read_text().split()]
+        if len(found) >= 2:
+            return found
         time.sleep(0.01)
-    raise TimeoutError(f'{len(parts)} parts')
+    raise TimeoutError(f'{len(found)} processes')
 
 
 TABLES = {}  # of `many`, by the text of the file
@@ -81,7 +84,7 @@ def many(path):
     text = path.read_text()
     if text not in TABLES:
         plan = read_plan(path)
-        table = timo_sim.simulate_many(plan.scene, plan.variations(), plan.duration, workers=1)
+        table = timo_sim.simulate_many(plan.scene, plan.variations, plan.duration, workers=1)
         TABLES[text] = {name: [list(cell) if isinstance(cell, tuple) else cell
                                for cell in column.tolist()] for name, column in table.items()}
     return TABLES[text]
@@ -105,46 +108,38 @@ def test_file_in_parquet_out(write, tmp_path):
     assert warned == 4 * [True, False]
     assert output.startswith('8 runs in ')
     assert f' s, 4 failed, {sum(warned)} with a warning: study.parquet' in output
-    assert not (tmp_path / 'study.parquet.parts').exists()
     direct = many(path)
     assert list(table) == list(direct)
     for name, column in table.items():
         np.testing.assert_array_equal(column, direct[name])
 
-    schema = parquet.read_table(tmp_path / 'study.parquet').schema
-    units = {field.name: field.metadata[b'unit'].decode() for field in schema}
-    assert units['end_effector.mass'] == 'kg' and units['peak_deflection'] == 'm'
-    assert units['peak_rotation'] == 'rad' and b'largest' in schema.field(
-        'peak_deflection').metadata[b'meaning']
-    assert schema.metadata[b'duration'] == b'2.0 s'
-
     assert refused(path, tmp_path) == (
-        'timo_sim: study.parquet exists: remove it or choose another --output\n')
+        'timo_sim: study.parquet exists: remove it or choose another name\n')
 
 
 def test_the_example_can_be_read_as_it_is_and_with_each_of_its_ways_to_vary(write):
     text = (ROOT / 'config' / 'sweep.yaml').read_text()
     plan = read_plan(ROOT / 'config' / 'sweep.yaml')
-    assert plan.count == len(list(plan.variations())) == 80
+    assert len(plan.variations) == 80
     assert plan.scene.step == 0.01 and plan.duration == 10.0
-    assert next(plan.variations()) == {
+    assert plan.variations[0] == {
         'end_effector.mass': 0.5, 'load.torque.harmonic.amplitude': [1.0]}
     for kind, count in ('random', 10000), ('runs', 2):
         block = text[text.index(f'# {kind}:'):].split('\n\n')[0].replace('\n# ', '\n')[2:]
         given = yaml.safe_load(text.split('grid:')[0] + block)
         del given['scene']
-        assert read_plan(write(**given)).count == count
+        assert len(read_plan(write(**given)).variations) == count
 
 
 def test_a_grid_is_all_combinations_the_last_fastest(write):
     plan = read_plan(write(grid={'end_effector.mass': [1.0, 2.0], 'model.modes': [1, 2, 3]}))
-    assert plan.count == 6 and [tuple(values.values()) for values in plan.variations()] == [
+    assert [tuple(values.values()) for values in plan.variations] == [
         (1.0, 1), (1.0, 2), (1.0, 3), (2.0, 1), (2.0, 2), (2.0, 3)]
 
 
 def test_random_values_fill_their_ranges_and_repeat_with_their_seed(write):
-    first, again = ([*read_plan(write(random=RANDOM)).variations()] for _ in range(2))
-    other = [*read_plan(write(random={**RANDOM, 'seed': 8})).variations()]
+    first, again = (read_plan(write(random=RANDOM)).variations for _ in range(2))
+    other = read_plan(write(random={**RANDOM, 'seed': 8})).variations
     assert first == again and first != other
     for name, low, high in (('end_effector.mass', 0.5, 5.0),
                             ('load.torque.harmonic.amplitude', 1.0, 8.0)):
@@ -184,67 +179,41 @@ def test_files_that_are_refused_in_a_short_line(write):
         assert len(told.removesuffix(f' ({path})')) < 250 and '\n' not in told
 
 
-def test_a_killed_sweep_is_resumed_and_repeats_only_damaged_parts(write, tmp_path):
-    path = write(random=RANDOM, duration=10.0)
-    sweep = start(tmp_path, path, '--workers', '2')
-    wait_for_parts(tmp_path, 4)
-    sweep.send_signal(signal.SIGSTOP)
-    assert refused(path, tmp_path) == (
-        'timo_sim: another sweep is running with study.parquet.parts: wait for its end or choose '
-        'another --output\n')
-    workers = [int(pid) for task in Path(f'/proc/{sweep.pid}/task').iterdir()
-               for pid in (task / 'children').read_text().split()]
+def test_workers_end_with_a_sweep_that_is_killed_and_no_part_of_a_table_is_left(write, tmp_path):
+    sweep = start(tmp_path, write(random={**RANDOM, 'count': 10**5}), '--workers', '2')
+    workers = children_of(sweep)
     sweep.send_signal(signal.SIGKILL)
-    assert end(sweep)[0] == -signal.SIGKILL and len(workers) >= 2
-    parts = wait_for_parts(tmp_path, 4)
-    assert len(parts) < 12 and not (tmp_path / 'study.parquet').exists()
-    for _ in range(round(PATIENCE / 0.01)):  # workers end with their parent
+    assert end(sweep)[0] == -signal.SIGKILL
+    for _ in range(round(PATIENCE / 0.01)):
         if not any(Path(f'/proc/{pid}').exists() for pid in workers):
             break
         time.sleep(0.01)
     assert not any(Path(f'/proc/{pid}').exists() for pid in workers)
-
-    # A part that is there is used as it is: the changed column of one of them is in the result.
-    known = parquet.read_table(parts[1])
-    column = known.schema.get_field_index('warning')
-    parquet.write_table(known.set_column(column, known.schema.field(column),
-                                         [['seen'] * len(known)]), parts[1])
-    parts[0].write_bytes(parts[0].read_bytes()[:-10])
-    parts[2].write_bytes(b'')
-    (parts[0].parent / '.timo_sim_killed').mkdir()
-    # Another sweep must not use these parts.
-    parts[3].rename(parts[0])
-    assert 'study.parquet.parts belongs to another sweep' in refused(
-        write(random=RANDOM, duration=5.0), tmp_path)
-    parts[0].unlink()
-
-    assert end(start(tmp_path, write(random=RANDOM, duration=10.0)))[0] == 0
-    table, direct = rows(tmp_path / 'study.parquet'), many(path)
-    seen = [run for run, warning in zip(table['run'], table['warning']) if warning == 'seen']
-    assert seen == known['run'].to_pylist()
-    table['warning'] = direct['warning']
-    np.testing.assert_equal(table, direct)
-    assert {part.suffix for part in (tmp_path / 'study.parquet').iterdir()} == {'.parquet'}
+    assert [path.name for path in tmp_path.iterdir()] == ['study.yaml']
 
 
 def test_on_a_cluster_a_killed_worker_loses_and_repeats_nothing(write, tmp_path):
     from distributed import Client, LocalCluster
-    path = write(random=RANDOM, duration=10.0)
+    plan = read_plan(write(random=RANDOM, duration=10.0))
+    jobs = jobs_of(plan.scene, plan.duration, plan.variations, ())
     with LocalCluster(n_workers=2, threads_per_worker=1, dashboard_address=None) as cluster:
         with Client(cluster) as client:
             pids = list(client.run(os.getpid).values())
-        sweep = start(tmp_path, path, '--scheduler', cluster.scheduler_address)
-        done = wait_for_parts(tmp_path, 10)
-        os.kill(pids[0], signal.SIGKILL)
-        assert len(done) < 32
-        code, output, _ = end(sweep)
+        with executor_of(scheduler=cluster.scheduler_address) as executor:
+            tables = []
+            for table in executor.map(run_job, jobs):
+                tables.append(table)
+                if len(tables) == 1:
+                    os.kill(pids[0], signal.SIGKILL)
         with Client(cluster) as client:
             client.run(lambda: setattr(__import__('timo_sim'), '__version__', '0'))
         with pytest.raises(ConnectionError, match='worker .* must have timo_sim .*, got 0'):
             with executor_of(scheduler=cluster.scheduler_address):
                 pass
-    assert code == 0 and output.startswith('96 runs in ')
-    np.testing.assert_equal(rows(tmp_path / 'study.parquet'), many(path))
+    assert len(tables) == len(jobs) > 2
+    for name, column in many(write(random=RANDOM, duration=10.0)).items():
+        if name in tables[0]:
+            np.testing.assert_equal(np.concatenate([each[name] for each in tables]), column)
 
 
 def test_no_scheduler_is_one_line_and_code_1(write, tmp_path):

@@ -457,7 +457,7 @@ def simulate(scene: Scene, duration: float, output: str | None, rate: float | No
 @main.command()
 @click.argument('file', type=click.Path(exists=True, dir_okay=False))
 @click.option('--output', '-o', type=click.Path(),
-              help='Parquet folder; by default named after FILE, in the working directory.')
+              help='New file, *.parquet or *.csv; by default FILE.parquet in the working folder.')
 @click.option('--workers', type=click.IntRange(min=1), help='Processes; by default one a core.')
 @click.option('--scheduler', metavar='ADDRESS',
               help='Use workers of this Dask scheduler instead of processes of this machine.')
@@ -468,7 +468,6 @@ def sweep(file: str, output: str | None, workers: int | None, scheduler: str | N
     \b
         timo_sim sweep config/sweep.yaml
 
-    If a sweep was stopped, the same command continues it.
     """
     from timo_sim.runs.sweep import run_sweep
     run_sweep(file, output, workers, scheduler)

@@ -584,7 +584,7 @@ def write_table(columns: dict[str, np.ndarray], path: Path) -> None:
         with open(part, 'w', newline='') as stream:
             writer = csv.writer(stream)
             writer.writerow(columns)
-            for first in range(0, len(columns['time_s']), _ROWS):
+            for first in range(0, len(next(iter(columns.values()))), _ROWS):
                 writer.writerows(zip(*(
                     ['' if value != value else value
                      for value in values[first:first + _ROWS].tolist()]

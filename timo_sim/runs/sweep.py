@@ -1,22 +1,14 @@
 # Copyright 2026 The timo_sim authors
 # SPDX-License-Identifier: Apache-2.0
 
-"""
-Many runs of one scene with varied parameters, on many cores or machines, and sweeps of a file.
-
-A sweep writes a part for each job, and joins all parts to a Parquet file.
-"""
+"""Many runs of one scene with varied parameters, on many cores or machines; sweeps of a file."""
 
 from __future__ import annotations
 
-from collections import deque
-from collections.abc import Callable, Iterable, Iterator, Mapping
+from collections.abc import Iterable, Iterator, Mapping
 from concurrent.futures import Executor, ProcessPoolExecutor
 from concurrent.futures.process import BrokenProcessPool
 from contextlib import contextmanager, suppress
-from dataclasses import dataclass
-import fcntl
-import hashlib
 import itertools
 import math
 import multiprocessing
@@ -24,7 +16,6 @@ from multiprocessing.context import SpawnContext, SpawnProcess
 import os
 from pathlib import Path
 import pickle
-import shutil
 import signal
 import sys
 import threading
@@ -39,7 +30,7 @@ from timo_sim.compiled.functions import WIDTH
 from timo_sim.extras import optional
 from timo_sim.runs.run import run_scene
 from timo_sim.runs.simulate import measure_error, resolve
-from timo_sim.scene.files import flatten, read_yaml, whole_file
+from timo_sim.scene.files import flatten, read_yaml
 from timo_sim.scene.parameters import (
     check, checked, Parameter, ParameterError, PARAMETERS, SCENE, short, steps_in, TEXT, warn)
 from timo_sim.scene.scene import load_scene, Scene, SceneLike
@@ -53,28 +44,19 @@ from timo_sim.version import __version__
 _MAX_STEPS, _MAX_RUNS, _MIN_JOBS = 100_000, 96, 32
 _FAILURES = ArithmeticError, ValueError, MemoryError  # of a run, not of the program
 _MEASURED_EVERY = 4096  # runs from one whose error is measured to the next
-_MIN_FOR_LANES = 64  # runs of a sweep from which on the machine code of lanes pays
 
 
-class Column(NamedTuple):
-    """A number of a run's summary."""
-
-    name: str
-    unit: str
-    meaning: str
-
-
-SUMMARY = (
-    Column('peak_deflection', 'm', 'largest |w(l)| at a time step'),
-    Column('peak_time', 's', 'time of peak_deflection'),
-    Column('rms_deflection', 'm', 'root mean square of w(l) over the time steps'),
-    Column('final_deflection', 'm', 'w(l) at the end'),
-    Column('peak_rotation', 'rad', 'largest |phi(l)|, rotation of the tip relative to the shaft'),
-    Column('final_carrier_x', 'm', 'carrier position at the end'),
-    Column('final_carrier_y', 'm', 'carrier position at the end'),
-    Column('final_shaft', 'rad', 'shaft angle at the end, not wrapped'),
-    Column('tip_error', 'm', 'distance of the tip from that of a finer run; NaN if not measured'),
-)
+# Numbers of a row, with their meanings.
+SUMMARY = {
+    'peak_deflection': 'largest |w(l)| at a time step [m]',
+    'peak_time': 'time of peak_deflection [s]',
+    'rms_deflection': 'root mean square of w(l) over the time steps [m]',
+    'final_deflection': 'w(l) at the end [m]',
+    'peak_rotation': 'largest |phi(l)|, rotation of the tip relative to the shaft [rad]',
+    'final_carrier_x': 'carrier position at the end [m]',
+    'final_carrier_y': 'carrier position at the end [m]',
+    'final_shaft': 'shaft angle at the end, not wrapped [rad]',
+    'tip_error': 'distance of the tip from that of a finer run; NaN if not measured [m]'}
 
 
 @checked(scheduler=TEXT)
@@ -84,12 +66,12 @@ def simulate_many(scene: SceneLike, variations: Iterable[Mapping[str, Any]], dur
     """
     Simulate variations of a scene on all cores, or on a Dask cluster, and keep a summary of each.
 
-    From 64 runs on, those of the `exact` formulation whose steps need no special care are done
-    together, as lanes of a vector (see `Batch`), several times faster. Their numbers are those of
-    `simulate` for that variation to about 1e-11; those of other runs, and of a shorter sweep, to
-    the last bit, on the same kind of processor and with one BLAS thread. No bit of a row depends
-    on the other runs or on the number of workers. The error of the first of each 4096 runs is
-    measured by a finer run. The first run with a new number of modes compiles for a second or two.
+    Runs of the `exact` formulation whose steps need no special care are done together, as lanes of
+    a vector (see `Batch`), several times faster. Their numbers are those of `simulate` for that
+    variation to about 1e-11; those of other runs to the last bit, on the same kind of processor
+    and with one BLAS thread. No bit of a row depends on the other runs or on the number of
+    workers. The error of the first of each 4096 runs is measured by a finer run. The first run
+    with a new number of modes compiles for a second or two.
 
     Parameters
     ----------
@@ -138,30 +120,25 @@ def simulate_many(scene: SceneLike, variations: Iterable[Mapping[str, Any]], dur
         pickle.dumps(variations)
     except (AttributeError, TypeError, pickle.PicklingError) as error:
         raise ParameterError(f'variations must be picklable: {error}') from None
-    # Columns are in order of appearance. An unknown name has none, and is in a row's `reason`.
-    names = [name for name in {name: None for each in variations for name in flatten(each)}
-             if name in PARAMETERS and PARAMETERS[name].scope == SCENE]
-    jobs = jobs_of(load_scene(scene), duration, len(variations), variations, names)
-    with executor_of(workers, scheduler) as (executor, width):
-        tables = [table for _, table in run_jobs(executor, width, jobs)]
-    table = {name: np.concatenate([table[name] for table in tables]) for name in tables[0]}
+    table = _simulate(load_scene(scene), duration, variations, workers, scheduler, quiet=True)
     failed = table['reason'][table['reason'] != '']
     if len(failed):
         warn(f'{len(failed)} of {len(variations)} runs failed, the first because: {failed[0]}')
     return table
 
 
-def run_jobs(executor: Executor, width: int,
-             jobs: Iterable[Job]) -> Iterator[tuple[Job, dict[str, np.ndarray]]]:
-    """Yield each job with its table, in order; three for each of `width` workers are pending."""
-    pending = deque()
-    for job in jobs:
-        pending.append((job, executor.submit(run_job, job)))
-        if len(pending) > 3 * width:
-            first, future = pending.popleft()
-            yield first, future.result()
-    for first, future in pending:
-        yield first, future.result()
+def _simulate(scene, duration, variations, workers, scheduler, quiet):
+    # Columns are in order of appearance. An unknown name has none, and is in a row's `reason`.
+    names = tuple(name for name in {name: None for each in variations for name in flatten(each)}
+                  if name in PARAMETERS and PARAMETERS[name].scope == SCENE)
+    jobs = jobs_of(scene, duration, variations, names)
+    with executor_of(workers, scheduler) as executor, tqdm(
+            total=len(variations), unit='run', disable=quiet) as shown:
+        tables = []
+        for table in executor.map(run_job, jobs):
+            tables.append(table)
+            shown.update(len(table['run']))
+    return {name: np.concatenate([table[name] for table in tables]) for name in tables[0]}
 
 
 class Job(NamedTuple):
@@ -172,21 +149,17 @@ class Job(NamedTuple):
     duration: float    # [s]
     variations: tuple  # of dictionaries of overrides
     names: tuple       # of the parameters that have a column
-    in_lanes: bool = False  # whether runs that can be lanes are
 
 
-def jobs_of(scene: Scene, duration: float, count: int, variations: Iterable[Mapping[str, Any]],
-            names: Iterable[str]) -> Iterator[Job]:
-    """Yield the jobs of a sweep of `count` runs, which do not depend on the number of workers."""
-    steps, in_lanes = max(1, steps_in(duration, scene.step)), count >= _MIN_FOR_LANES
+def jobs_of(scene: Scene, duration: float, variations: list[Mapping[str, Any]],
+            names: tuple[str, ...]) -> list[Job]:
+    """Return the jobs of a sweep, which do not depend on the number of workers."""
+    steps, count = max(1, steps_in(duration, scene.step)), len(variations)
     length = max(1, min(_MAX_RUNS, _MAX_STEPS // steps, math.ceil(count / _MIN_JOBS)))
-    if in_lanes:
-        length = WIDTH * math.ceil(length / WIDTH)
-    remaining = iter(variations)
-    for first in range(0, count, length):
-        yield Job(first=first, scene=scene, duration=duration,
-                  variations=tuple(itertools.islice(remaining, length)), names=tuple(names),
-                  in_lanes=in_lanes)
+    length = WIDTH * math.ceil(length / WIDTH)
+    return [Job(first=first, scene=scene, duration=duration, names=names,
+                variations=tuple(variations[first:first + length]))
+            for first in range(0, count, length)]
 
 
 def run_job(job: Job) -> dict[str, np.ndarray]:
@@ -197,14 +170,14 @@ def run_job(job: Job) -> dict[str, np.ndarray]:
     for name in job.names:
         table[name] = _column_of(
             PARAMETERS[name], [values.get(name, job.scene.values[name]) for values in flat])
-    table.update((column.name, numbers[:, k]) for k, column in enumerate(SUMMARY))
+    table.update(zip(SUMMARY, numbers.T))
     table['warning'], table['reason'] = np.full((2, len(flat)), '', dtype=object)
     groups: dict[Any, list[Any]] = {}  # of (row, Scene, steps), by kind of lane, or alone
     with np.errstate(all='ignore'):
         for row, variation in enumerate(job.variations):
             with _record_reason(table, row):
                 scene, steps = resolve(job.scene.vary(variation), job.duration)
-                key = job.in_lanes and lane_kind(scene, steps) or ('alone', row)
+                key = lane_kind(scene, steps) or ('alone', row)
                 groups.setdefault(key, []).append((row, scene, steps))
         for key, runs in groups.items():
             try:
@@ -304,22 +277,21 @@ _STARTING = threading.Lock()
 
 
 @contextmanager
-def executor_of(workers: int | None = None,
-                scheduler: str | None = None) -> Iterator[tuple[Executor, int]]:
+def executor_of(workers: int | None = None, scheduler: str | None = None) -> Iterator[Executor]:
     """
-    Yield an executor and how many calls it does at a time; see `simulate_many`.
+    Yield an executor; see `simulate_many`.
 
     Raises ConnectionError if a worker process ends early, the scheduler cannot be reached, or a
     worker of Dask has another version of this package.
     """
     if scheduler is not None:
         with _client(scheduler) as client:
-            yield client.get_executor(pure=False), max(1, sum(client.nthreads().values()))
+            yield client.get_executor(pure=False)
         return
     count = len(os.sched_getaffinity(0)) if workers is None else _WORKERS.check(workers)
     executor = ProcessPoolExecutor(count, _Context(), _start_work, (__version__,))
     try:
-        yield executor, count
+        yield executor
     except BrokenProcessPool:
         raise ConnectionError('a worker process was killed or could not start; the system kills '
                               'processes when memory is short (try fewer workers)') from None
@@ -351,16 +323,14 @@ class _Worker(SpawnProcess):
     """
     A process that runs neither the caller's script nor modules of the working directory.
 
-    A script therefore needs no `if __name__ == '__main__'`. The process has one BLAS thread. It
-    may be started by a daemonic process, such as a worker of Dask.
+    A script therefore needs no `if __name__ == '__main__'`. The process has one BLAS thread.
     """
 
     def start(self):
         """Start the process."""
         # multiprocessing imports in the new process what is `__main__` here.
         with (_STARTING, _temporarily(sys.modules, {'__main__': ModuleType('__main__')}),
-              _temporarily(os.environ, _ENVIRONMENT),
-              _temporarily(vars(multiprocessing.current_process())['_config'], {'daemon': False})):
+              _temporarily(os.environ, _ENVIRONMENT)):
             super().start()
 
 
@@ -401,16 +371,12 @@ _RANDOM = {'seed': Parameter('random: seed', 0, '', 'seed of the random values',
            'count': Parameter('random: count', 1, '', 'number of runs', low=1)}
 
 
-@dataclass(frozen=True)
-class Plan:
-    """The checked content of a sweep's file."""
+class Plan(NamedTuple):
+    """The checked content of a sweep's file; `variations` are the overrides of each run."""
 
     scene: Scene
-    duration: float   # [s]
-    fingerprint: str  # differs for plans whose results may differ
-    names: list[str]  # of the parameters that vary
-    count: int        # number of runs
-    variations: Callable[[], Iterator[dict[str, Any]]]  # returns the overrides of each run
+    duration: float  # [s]
+    variations: list[dict[str, Any]]
 
 
 def read_plan(path: Path | str) -> Plan:
@@ -440,21 +406,17 @@ def _plan(content, folder):
                        _check_mapping('parameters', content.get('parameters') or {}))
     duration = _DURATION.check(content.get('duration'))
     steps_in(duration, scene.step)
-    identity = __version__, scene.values, duration, kind, content[kind]
-    names, count, variations = kinds[kind](content[kind])
-    return Plan(scene=scene, duration=duration, names=names, count=count, variations=variations,
-                fingerprint=hashlib.sha256(repr(identity).encode()).hexdigest())
+    return Plan(scene, duration, kinds[kind](content[kind]))
 
 
-# For each kind of sweep: names of the parameters that vary, count of runs, and variations.
+# For each kind of sweep, the overrides of each run.
 
 def _runs(given):
     if not isinstance(given, list) or not given:
         raise ParameterError(f'runs must be a list of sets of parameters, got {short(given)}')
     for run, values in enumerate(given):
         _check_values(f'runs[{run}]', flatten(_check_mapping(f'runs[{run}]', values)))
-    names = dict.fromkeys(name for values in given for name in flatten(values))
-    return [*names], len(given), lambda: iter(given)
+    return given
 
 
 def _grid(given):
@@ -464,8 +426,7 @@ def _grid(given):
                                  + short(values))
         for value in values:
             _check_values('grid', {name: value})
-    return [*given], math.prod(map(len, given.values())), lambda: (
-        dict(zip(given, values)) for values in itertools.product(*given.values()))
+    return [dict(zip(given, values)) for values in itertools.product(*given.values())]
 
 
 def _random(given):
@@ -488,13 +449,9 @@ def _random(given):
         for end in ends:
             _check_values('random', {name: end})
 
-    def variations():
-        random = np.random.default_rng(seed)
-        for _ in range(count):
-            yield {name: np.asarray(random.uniform(*ends)).tolist()
-                   for name, ends in ranges.items()}
-
-    return [*ranges], count, variations
+    random = np.random.default_rng(seed)
+    return [{name: np.asarray(random.uniform(*ends)).tolist() for name, ends in ranges.items()}
+            for _ in range(count)]
 
 
 def _check_mapping(entry, given):
@@ -510,91 +467,23 @@ def _check_values(entry, values):
             raise ParameterError(f'{name} is a parameter of the node, not of the scene ({entry})')
 
 
-_PART = '{:012d}.parquet'  # of the first run of a job
-
-
 def run_sweep(file: Path | str, output: Path | str | None = None, workers: int | None = None,
               scheduler: str | None = None) -> None:
     """
-    Do the sweep of a file, see config/sweep.yaml, or those jobs of it that are missing.
+    Do the sweep of a file, see config/sweep.yaml, and write its table, *.parquet or *.csv.
 
-    A part appears under its name only when it is whole. A sweep that was killed goes on with the
-    parts that are missing; each job is in the result once. `output` is a Parquet folder, by
-    default named after `file`, in the working directory; `workers` and `scheduler` are as for
-    `simulate_many`, with its ConnectionError. Raises ParameterError or OSError as `read_plan`, or
-    if the output exists, or its parts belong to another sweep or are in use by a running one.
+    `output` is by default named after `file`, in the working directory; `workers` and `scheduler`
+    are as for `simulate_many`, with its ConnectionError. Raises ParameterError or OSError as
+    `read_plan`, LogError or FileExistsError as `check_table`.
     """
-    with optional():
-        import pyarrow
-        from pyarrow import parquet
+    from timo_sim.log.tables import check_table, write_table
     plan = read_plan(file)
     output = Path(output or Path(file).with_suffix('.parquet').name)
-    start, number, text = time.monotonic(), pyarrow.float64(), pyarrow.string()
-    types = {bool: pyarrow.bool_(), int: pyarrow.int64(), float: number, str: text,
-             tuple: pyarrow.list_(number)}
-    varied = [PARAMETERS[name] for name in plan.names]
-    # The columns, with units and meanings; the metadata of the schema identify the sweep.
-    schema = pyarrow.schema([
-        pyarrow.field(name, kind, metadata={'unit': unit, 'meaning': meaning})
-        for name, kind, unit, meaning in (
-            ('run', types[int], '', 'number of the run, from 0'),
-            *((each.name, types[type(each.default)], each.unit, each.meaning) for each in varied),
-            *((each.name, number, each.unit, each.meaning) for each in SUMMARY),
-            ('warning', text, '', 'why not to trust the run, or empty'),
-            ('reason', text, '', 'why the run failed, or empty'))],
-        {'duration': f'{plan.duration!r} s', 'sweep': plan.fingerprint,
-         'scene': repr(plan.scene.values)})
-    with _parts_of(output) as parts:
-        with executor_of(workers, scheduler) as (executor, width), tqdm(
-                total=plan.count, unit='run', disable=None) as bar:
-
-            def missing():
-                for job in jobs_of(plan.scene, plan.duration, plan.count, plan.variations(),
-                                   plan.names):
-                    try:
-                        found = parquet.read_schema(parts / _PART.format(job.first))
-                    except (OSError, pyarrow.ArrowException):  # missing, or damaged: done again
-                        yield job
-                        continue
-                    if found.metadata != schema.metadata:
-                        raise ParameterError(f'{parts} belongs to another sweep: remove it or '
-                                             'choose another --output')
-                    bar.update(len(job.variations))
-
-            for job, table in run_jobs(executor, width, missing()):
-                with whole_file(parts / _PART.format(job.first)) as path:
-                    parquet.write_table(pyarrow.table(table, schema), path)
-                bar.update(len(job.variations))
-        for unfinished in parts.glob('.*'):  # a part that a killed process was writing
-            shutil.rmtree(unfinished)
-        parts.rename(output)
-    texts = parquet.read_table(output, columns=['reason', 'warning']).to_pydict()
-    failed, warned = (sum(map(bool, texts[name])) for name in ('reason', 'warning'))
-    print(f'{plan.count} runs in {time.monotonic() - start:.1f} s, {failed} failed, '
+    check_table(output)
+    start = time.monotonic()
+    table = _simulate(plan.scene, plan.duration, plan.variations, workers, scheduler,
+                      quiet=None)  # a bar is for terminals alone
+    write_table(table, output)
+    failed, warned = (np.count_nonzero(table[name]) for name in ('reason', 'warning'))
+    print(f'{len(plan.variations)} runs in {time.monotonic() - start:.1f} s, {failed} failed, '
           f'{warned} with a warning: {output}')
-
-
-@contextmanager
-def _parts_of(output: Path) -> Iterator[Path]:
-    """Yield the folder of the parts of an output, which no other process has meanwhile."""
-    parts = output.with_name(output.name + '.parts')
-
-    def refuse():
-        if output.exists():
-            raise ParameterError(f'{output} exists: remove it or choose another --output')
-
-    refuse()
-    parts.mkdir(parents=True, exist_ok=True)
-    lock = os.open(parts, os.O_RDONLY)
-    try:
-        try:
-            fcntl.flock(lock, fcntl.LOCK_EX | fcntl.LOCK_NB)
-        except BlockingIOError:
-            raise ParameterError(f'another sweep is running with {parts}: wait for its end or '
-                                 'choose another --output') from None
-        except OSError:  # a file system without locks
-            pass
-        refuse()  # a sweep that has just ended may have made it
-        yield parts
-    finally:
-        os.close(lock)
