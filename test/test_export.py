@@ -77,7 +77,8 @@ SCENES = {
         **LIMITED, **GEAR, 'hub.radius': 0.3, 'gravity': [1.0, 2.0],
         'arm.damping_ratio': [0.02]},
     'five modes, a static shape, push, an axial mode slowed down': {
-        'model.modes': 5, 'push.position': 0.5, 'end_effector.mass': 0.0,
+        'model.modes': 5, 'push.position': 0.5, 'sensor.root_strain.position': 0.7,
+        'sensor.tip_imu.position': 0.3, 'end_effector.mass': 0.0,
         'end_effector.inertia': 0.0, 'model.axial_modes': 1, 'initial.shaft_velocity': 5.0,
         'integrator.step': 0.005},
     'sectors, sticking': {'carrier.held': 'x', 'initial.shaft_velocity': 20.0,
@@ -87,13 +88,15 @@ SCENES = {
     'driven': DRIVEN,
     'newton': {'model.formulation': 'newton', 'model.modes': 1, 'carrier.held': 'x',
                'initial.shaft_velocity': 2.0, 'push.position': 0.4, 'gravity': [1.0, -9.0],
-               'hub.radius': 0.3},
+               'hub.radius': 0.3, 'sensor.root_strain.position': 0.3,
+               'sensor.tip_imu.position': 0.8},
     'driven newton': {**DRIVEN, 'model.formulation': 'newton', 'model.modes': 1},
     'payloads, one axis held': {
         'payload.time': [0.03, 0.031, 0.06], 'payload.mass': [4.0, 5.0, 0.5],
         'payload.inertia': [0.2, 0.3, 0.0], 'payload.offset': [0.2, 0.1, 0.0],
         'end_effector.pick_up': 'at_rest', 'carrier.held': 'x',
-        'carrier.coulomb_friction': 1.0, 'initial.shaft_velocity': 20.0},
+        'carrier.coulomb_friction': 1.0, 'initial.shaft_velocity': 20.0,
+        'sensor.root_strain.position': 0.6, 'sensor.tip_imu.position': 1.9},
 }
 # Derivatives of steps take most of the time of an export; these have them.
 DIFFERENTIATED = ['held', 'locked', 'presliding behind a gear', 'sectors, sticking', 'newton']

@@ -125,7 +125,8 @@ def test_a_driven_shaft_follows_the_samples():
     {'carrier.held': 'none', 'carrier.mass': 5.0, 'motor.mass': 5.0}, {'gravity': [0.0, -9.81]},
     {'motor.shaft': 'locked'},
     {'load.tip_force_y.harmonic': {'amplitude': [0.3], 'frequency': [1.0]},
-     'load.tip_torque.harmonic': {'amplitude': [0.02], 'frequency': [2.0]}}])
+     'load.tip_torque.harmonic': {'amplitude': [0.02], 'frequency': [2.0]},
+     'sensor.root_strain.position': 0.1, 'sensor.tip_imu.position': 0.2}])
 def test_strain_and_acceleration_are_those_of_the_sensors(more):
     scene = timo_sim.load_scene(ARM, {
         'initial.modal_coordinates': [0.003, 0.0, 0.0], **more,

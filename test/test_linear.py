@@ -94,7 +94,8 @@ OUTPUTS = ['shaft_rad', 'tip_y_m', 'tip_transverse_m', 'tip_rotation_rad',
 @pytest.mark.parametrize('name', ['exact', 'newton'])
 @pytest.mark.parametrize('values, cause', [
     ({**HEAVY, **HELD}, 'torque_N_m'), ({**HEAVY, **HELD}, 'tip_torque_N_m'),
-    (HEAVY, 'force_y_N'), ({}, 'torque_N_m'), ({'hub.radius': 0.3}, 'torque_N_m')], ids=str)
+    (HEAVY, 'force_y_N'), ({}, 'torque_N_m'),
+    ({'hub.radius': 0.3, 'sensor.tip_imu.position': 0.5}, 'torque_N_m')], ids=str)
 def test_frequency_responses_converge_to_those_of_finite_elements(name, values, cause):
     """Up to 60 Hz, beyond resonances, also with a heavy tip, which hardly moves."""
     errors = []
@@ -107,11 +108,12 @@ def test_frequency_responses_converge_to_those_of_finite_elements(name, values, 
         expected = [[beam.response(cause, frequency)[name] for name in OUTPUTS]
                     for frequency in frequencies]
         errors.append(np.abs(found[:, :, 0] / expected - 1.0).max())
-    assert errors[1] < 3e-4 and errors[1] < errors[0] / 2.0**6  # order 6 at least
+    assert errors[1] < 6e-4 and errors[1] < errors[0] / 2.0**6  # order 6 at least
 
 
 LIGHT = {'end_effector.mass': 0.0, 'end_effector.inertia': 0.0}
 LOCKED = {'motor.shaft': 'locked'}
+WITHIN = {'sensor.root_strain.position': 0.5}
 # Relative error of the series of curvatures with three modes; doc/theory.md, section 9, has these.
 SERIES = {'tip_force_y_N': 0.028, 'force_y_N': 1.0, 'tip_torque_N_m': 0.46}
 
@@ -121,8 +123,9 @@ SERIES = {'tip_force_y_N': 0.028, 'force_y_N': 1.0, 'tip_torque_N_m': 0.46}
     ({}, 'tip_force_y_N'), ({'motor.shaft_inertia': 0.1}, 'force_y_N'), (LIGHT, 'tip_torque_N_m'),
     (LOCKED, 'force_y_N'), ({**LOCKED, **HELD}, 'tip_torque_N_m'),
     ({'hub.radius': 0.5}, 'tip_force_y_N'),
-    ({**LOCKED, **HELD, 'hub.radius': 0.5}, 'tip_force_y_N')], ids=str)
-def test_root_strain_needs_few_modes(name, values, cause):
+    ({**LOCKED, **HELD, 'hub.radius': 0.5}, 'tip_force_y_N'), (WITHIN, 'tip_force_y_N'),
+    ({**WITHIN, **LOCKED, **HELD, 'hub.radius': 0.5}, 'tip_force_y_N')], ids=str)
+def test_strain_needs_few_modes(name, values, cause):
     """Three modes do for quasi-static loads; at 15 Hz the strain converges as the motion does."""
     errors = []
     for modes in (3, 6):
@@ -132,7 +135,8 @@ def test_root_strain_needs_few_modes(name, values, cause):
         beam = LinearBeam(scene, held='carrier.held' in values, locked='motor.shaft' in values)
         model = timo_sim.linearize(scene).select([cause], ['root_strain'])
         found = model.frequency_response([0.1, 15.0])[:, 0, 0]
-        if modes == 3 and cause in SERIES and not values.keys() & {*LOCKED, *HELD, 'hub.radius'}:
+        if modes == 3 and cause in SERIES and not values.keys() & {
+                *LOCKED, *HELD, *WITHIN, 'hub.radius'}:
             states = replace(model, C=np.eye(len(model.A)), D=np.zeros((len(model.A), 1)))
             q = states.frequency_response([0.1])[0, 3:6, 0]
             curvature = scene.build().modes.curvature(np.zeros(1))[0]

@@ -164,6 +164,22 @@ def test_sensors_that_are_not_measured_are_expected():
     assert len(observer.innovation) == 1
 
 
+@pytest.mark.parametrize('formulation', ['exact', 'newton'])
+def test_gauge_and_imu_within_the_arm_are_expected_as_they_read(formulation):
+    scene = timo_sim.load_scene({}, {
+        **ARM, **IMU, 'sensor.root_strain.noise': 2e-6, 'sensor.root_strain.position': 0.6,
+        'sensor.tip_imu.position': 0.9, 'model.formulation': formulation,
+        'initial.modal_coordinates': [0.1, 0.01, 0.0], 'initial.shaft_velocity': 2.0})
+    quiet = timo_sim.Simulator(scene.vary({
+        name: 0.0 for name in scene.values if name.endswith(('.noise', '.resolution'))}))
+    names = 'root_strain', 'tip_acceleration', 'gyro'
+    shown = {name: getattr(quiet.sensors, name) for name in names}
+    observer = timo_sim.observer(scene, names)
+    observer.update(shown, dt=0.0)
+    assert observer.innovation == pytest.approx(0.0, abs=1e-10)
+    assert min(map(np.max, map(np.abs, shown.values()))) > 1e-4
+
+
 def test_a_wrong_model_is_a_warning():
     scene = timo_sim.load_scene({}, ARM)
     observer = timo_sim.observer(scene.vary({'arm.young_modulus': 40e9}),

@@ -120,7 +120,8 @@ CONTRADICTIONS = [
     ({'motor.dc.resistance': 1.0}, 'motor.dc.torque_constant must be > 0'),
     ({'load.torque.piecewise': {'time': [0.0, 0.2], 'value': [1.0]}}, 'time: 2.*value: 1'),
     ({'load.torque.table': {'time': [0.2, 0.1], 'value': [0.0, 0.0]}}, 'time must ascend'),
-    ({'push.position': 2.5}, 'push.position must be at most arm.length = 2 m, got 2.5')
+    ({'push.position': 2.5}, 'push.position must be at most arm.length = 2 m, got 2.5'),
+    ({'sensor.tip_imu.position': 2.5}, 'sensor.tip_imu.position must be at most arm.length = 2 m')
 ]
 
 

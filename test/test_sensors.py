@@ -9,11 +9,12 @@ from scipy import stats
 
 import timo_sim
 from timo_sim.model import FORMULATIONS
+from timo_sim.model.layout import place
 from timo_sim.simulation.simulator import Simulator
 from timo_sim.simulation.snapshot import reading
 from timo_sim.steps.sensors import normal, philox
 from timo_sim.topics.cdr import form
-from timo_sim.topics.outputs import outputs, SENSORS, TRANSFORMS
+from timo_sim.topics.outputs import IMU, outputs, SENSORS
 
 MOVING = {'initial.shaft_velocity': 2.0, 'initial.modal_rates': [2.0, 0.5, 0.1]}
 STEPS = 20000
@@ -33,13 +34,26 @@ def test_sensors_print_their_readings():
 
 
 def test_each_topic_and_sensor_has_its_own_name_and_all_numbers_of_its_message():
-    scene = timo_sim.load_scene({'motor.gear.stiffness': 900.0, 'motor.rotor.inertia': 0.5})
+    scene = timo_sim.load_scene({'motor.gear.stiffness': 900.0, 'motor.rotor.inertia': 0.5,
+                                 'sensor.tip_imu.position': 0.5})
     snapshot = Simulator(scene).snapshot()
-    for output in (*scene.outputs, TRANSFORMS):
+    for output in (*scene.outputs, scene.transforms):
         found = output.content(snapshot, output.numbers(snapshot))
         assert len(found) == len(form(output.type_name, output.template)[2]), output.name
     for names in [each.name for each in SENSORS], [each.name for each in scene.outputs]:
         assert len({*names}) == len(names)
+
+
+def test_an_imu_within_the_arm_has_a_frame_there():
+    scene = timo_sim.load_scene({}, {**MOVING, 'sensor.tip_imu.position': 0.5})
+    simulator = Simulator(scene)
+    snapshot = simulator.snapshot()
+    x, y, sine, cosine = scene.transforms.unlogged(snapshot)[-4:]
+    assert [*place(*snapshot.joint_positions, x, y)] == pytest.approx(simulator.position(0.5))
+    assert 2.0 * np.arctan2(sine, cosine) == pytest.approx(simulator.rotation(0.5))
+    imu, = (output.template for output in scene.outputs if output.name == IMU)
+    frame = scene.transforms.template['transforms'][-1]['child_frame_id']
+    assert imu['header']['frame_id'] == frame == 'arm_imu'
 
 
 @pytest.mark.parametrize('name', [*FORMULATIONS, 'driven'])
@@ -69,14 +83,17 @@ def test_acceleration_is_the_second_difference_of_the_tips_position(name, paper,
     assert error(sixth, 1) < 2e-8 * np.linalg.norm(found)
 
 
+@pytest.mark.parametrize('place', [0.0, 0.5])
 @pytest.mark.parametrize('formulation', FORMULATIONS)
-def test_imu_on_a_rigid_arm(formulation):
-    """The acceleration of a free body under a torque, centripetal and tangential."""
+def test_gauge_and_imu_on_a_rigid_arm(formulation, place):
+    """The acceleration of a free body under a torque, and the moment that it needs beyond."""
     turning, torque = 3.0, 4.0
     scene = timo_sim.load_scene({
         'model.modes': 0, 'model.formulation': formulation, 'initial.shaft_velocity': turning,
-        'load.torque.piecewise.time': [0.0], 'load.torque.piecewise.value': [torque]})
+        'load.torque.piecewise.time': [0.0], 'load.torque.piecewise.value': [torque],
+        'sensor.root_strain.position': place, 'sensor.tip_imu.position': place})
     body, length = scene.manipulator, 2.0
+    imu = place or length
     beam = body.arm.section.mass_per_length * length
     total = body.base_mass + beam + body.end_effector_mass
     centre = (0.5 * beam + body.end_effector_mass) * length / total
@@ -88,15 +105,37 @@ def test_imu_on_a_rigid_arm(formulation):
         speed = turning + torque / inertia * simulator.steps * scene.step
         found = measured(simulator)
         assert found['~/tip_imu/data_raw'] == pytest.approx([
-            -(length - centre) * speed**2, (length - centre) * torque / inertia, speed],
-            rel=1e-9)
+            -(imu - centre) * speed**2, (imu - centre) * torque / inertia, speed],
+            rel=1e-9, abs=1e-9)
         assert found['~/encoder'][0] == simulator.motion.values[2]
         # A rigid arm has no strain; the sensor shows that of a nearly rigid one with its moment.
-        section = body.arm.section
-        moment = (body.shaft_inertia / inertia - 1.0) * torque
+        section, rest = body.arm.section, length - place
+        moment = -torque / inertia * (
+            body.end_effector_inertia + section.inertia_per_length * rest
+            + body.end_effector_mass * rest * (length - centre)
+            + beam / length * rest**2 * (rest / 3.0 + 0.5 * (place - centre)))
         assert found['~/root_strain'][0] == pytest.approx(
             0.5 * section.height * moment / section.bending_stiffness, rel=1e-8)
         simulator.advance(700)
+
+
+@pytest.mark.parametrize('formulation', FORMULATIONS)
+@pytest.mark.parametrize('load, shares', [
+    ({'tip_force_y': 0.1}, (0.7, 0.4)), ({'tip_torque': 0.1}, (1.0, 1.0)),
+    ({'push_y': 0.1}, (0.25, 0.0)), ({'gravity': [0.0, -0.1]}, (0.49, 0.16))])
+def test_strain_within_a_cantilever_is_that_at_the_root_times_its_share(formulation, load, shares):
+    """At 0.3 and 0.6 of its length, with a push at 0.4; one mode has none of these curvatures."""
+    (name, value), = load.items()
+    scene = timo_sim.load_scene({}, {
+        'carrier.held': 'both', 'motor.shaft': 'locked', 'model.modes': 1, 'initial.shaft': 0.0,
+        'model.static_modes': 'none', 'model.formulation': formulation, 'push.position': 0.8,
+        'end_effector.mass': 0.0, 'end_effector.inertia': 0.0, 'initial.equilibrium': True,
+        'initial.shaft_velocity': 0.0, **(load if name == 'gravity' else {
+            f'load.{name}.piecewise.time': [0.0], f'load.{name}.piecewise.value': [value]})})
+    root, *within = (Simulator(scene.vary({'sensor.root_strain.position': xi})).sensors.root_strain
+                     for xi in (0.0, 0.6, 1.2))
+    # The tip moves along the arm by (w / l)^2, which `exact` knows.
+    assert np.array(within) / root == pytest.approx(shares, abs=1e-4)
 
 
 @pytest.mark.parametrize('formulation', FORMULATIONS)

@@ -46,7 +46,7 @@ class LinearBeam:
     Parameters
     ----------
     scene : Scene
-        Its modes and its Coulomb friction are not used.
+        Its modes and its Coulomb friction are not used. Gauge and IMU are at ends of elements.
     held, locked : bool
         Whether the carrier's y is held; whether the shaft is locked.
     stress_damping : float
@@ -88,9 +88,11 @@ class LinearBeam:
         self.free = np.setdiff1d(np.arange(2 * count), held * [0] + locked * [count])
         self._rows = {'force_y_N': 0, 'torque_N_m': count, 'tip_force_y_N': count - 1,
                       'tip_torque_N_m': 2 * count - 1}
-        self._strain = np.zeros(2 * count)
-        self._strain[count:count + ORDER + 1] = section.height / size * legendre.legval(
-            -1.0, legendre.legder(shapes))
+        gauge, imu = (ORDER * round(scene.values[f'sensor.{name}.position'] / size)
+                      for name in ('root_strain', 'tip_imu'))
+        self._strain, self._imu = np.zeros(2 * count), imu or count - 1
+        self._strain[count + gauge:count + gauge + ORDER + 1] = (
+            section.height / size * legendre.legval(-1.0, legendre.legder(shapes)))
         self.length = body.hub_radius + arm.length
 
     def response(self, cause, frequency):
@@ -114,7 +116,7 @@ class LinearBeam:
         return {'carrier_y_m': u[0], 'shaft_rad': u[half], 'tip_y_m': u[half - 1],
                 'tip_transverse_m': u[half - 1] - u[0] - u[half] * self.length,
                 'tip_rotation_rad': u[-1] - u[half],
-                'tip_acceleration_m_per_s2': s**2 * u[half - 1],
+                'tip_acceleration_m_per_s2': s**2 * u[self._imu],
                 'root_strain': self._strain @ u,
                 'carrier_y_force_N': held[0], 'shaft_torque_N_m': held[half]}
 

@@ -290,8 +290,8 @@ class Observer(Stateful, PointsOfArm):
         if sector not in calls:
             model, (_, linear) = steps.model, steps.model.in_sector(sector)
             calls[sector] = entry_for(model, UPDATES).of(
-                *steps.part(sector), steps.bristles, pack(Flow(linear, model.points.rotation)),
-                pack(model.root), self._known)
+                *steps.part(sector), steps.bristles, model.beyond.packed, model.seen.packed,
+                pack(Flow(linear, model.points.rotation)), pack(model.root), self._known)
         return calls[sector]
 
 

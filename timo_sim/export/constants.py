@@ -88,13 +88,13 @@ def interface_of(scene: Scene, estimate: bool) -> Interface:
         Quantity('tip_rotation', 'rad', 'rotation of the end effector in the world'),
         Quantity('tip_axial', 'm', 'deflection of the tip along the arm'),
         Quantity('tip_transverse', 'm', 'deflection of the tip across the arm'),
-        Quantity('tip_turning', 'rad/s', 'angular velocity of the end effector; of a gyro'),
+        Quantity('tip_turning', 'rad/s', 'angular velocity where the IMU is; of a gyro'),
         Quantity('encoder', 'rad', 'shaft angle; of an encoder'),
         Quantity('rotor', 'rad', 'angle of the rotor over the gear ratio; of an encoder'),
-        Quantity('tip_acceleration_x', 'm/s2', 'specific force (acceleration less gravity) of the '
-                 'tip, along its axis; of an accelerometer'),
+        Quantity('tip_acceleration_x', 'm/s2', 'specific force (acceleration less gravity) along '
+                 'the arm where the IMU is, by default the tip; of an accelerometer'),
         Quantity('tip_acceleration_y', 'm/s2', 'the same across its axis'),
-        Quantity('root_strain', '', 'strain of the outer fibre at the root; of a strain gauge'),
+        Quantity('root_strain', '', 'strain of the outer fibre; of a strain gauge'),
         Quantity('carrier_x_force', 'N', 'force of loads along world x, of what holds it if held'),
         Quantity('carrier_y_force', 'N', 'force of loads along world y, of what holds it if held'),
         Quantity('shaft_torque', 'N m', 'torque of loads, of what holds or drives it if not free'),
@@ -137,7 +137,7 @@ def plant_of(simulator: Simulator, interface: Interface) -> Plant:
     return Plant(
         step=scene.step, length=model.tip_point.lever[0],
         most_bent=MOST_BENT * model.manipulator.arm.length, travel=model.tip_travel[3:],
-        tip_rotation=model.points.rotation[:, -1], points_rotation=model.points.rotation,
+        imu_rotation=model.imu_point.rotation[:, 0], points_rotation=model.points.rotation,
         gravity=model.gravity, linear=model.linear,
         start=model.state(scene.initial_motion(model)), first_load=simulator.load,
         first_friction=simulator.integration.memory.copy(),

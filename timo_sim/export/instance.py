@@ -86,7 +86,7 @@ class Plant(NamedTuple):
     length: float  # from the shaft's axis to the tip of the straight arm [m]
     most_bent: float  # deflection beyond which a run counts as diverged [m]
     travel: Annotated[np.ndarray, 'modes']        # of the tip by each modal coordinate
-    tip_rotation: Annotated[np.ndarray, 'modes']  # of the end effector by each
+    imu_rotation: Annotated[np.ndarray, 'modes']  # of the section with the IMU by each
     points_rotation: Annotated[np.ndarray, 'modes', 'points']  # of sections by each
     gravity: Annotated[np.ndarray, 2]  # along world x and y [m/s2]
     linear: Annotated[np.ndarray, 'state', 'state']  # L of the straight arm
@@ -286,15 +286,16 @@ FORCES, MODAL = 15, 22
 SENSED = 17, 15, 16, 12, 13, 14  # numbers of the axes of SENSORS
 
 
-@entry_point(tables=Constants(), plant=Constants(), root=Constants(), instance=Constants())
-def set_forces(tables, plant, root, instance):
-    """Write the specific force at the tip, strain, efforts and energy to the outputs."""
+@entry_point(tables=Constants(), beyond=Constants(), seen=Constants(), plant=Constants(),
+             root=Constants(), instance=Constants())
+def set_forces(tables, beyond, seen, plant, root, instance):
+    """Write the specific force, strain, efforts and energy to the outputs."""
     load, acting, motion, out = instance.load, instance.acting, instance.motion, instance.outputs
     half, needed = len(motion) // 2, instance.loads[0, START]
     copy(load, acting)
     add_friction(instance.friction, acting)
     out[17], out[15], out[16] = sense_forces(
-        tables, plant, root, plant.gravity, motion, instance.place[2], instance.state, acting,
+        tables, beyond, seen, plant, root, plant.gravity, motion, instance.state, acting,
         instance.accelerations, needed)
     sine, cosine = sincos(motion[2])
     out[18] = load[FORCE_X] + cosine * load[FORCE_I] - sine * load[FORCE_II]
@@ -324,7 +325,7 @@ def set_outputs(plant, root, instance):
     turning = motion[half + 2]
     modes = len(plant.travel)
     for k in range(modes):
-        turning += plant.tip_rotation[k] * motion[half + 3 + k]
+        turning += plant.imu_rotation[k] * motion[half + 3 + k]
         out[MODAL + k] = motion[3 + k]
         out[MODAL + modes + k] = motion[half + 3 + k]
     out[12] = turning

@@ -61,7 +61,9 @@ class _Model:
             Steps(scene.build(tip, tip_of(scene)), scene.step, scene.bristles)
             for _, *tip in scene.payloads)]
         self.parts = [*zip(*(each.part(sector) for each in tips for sector in self.sectors))]
-        self.tables = tuple(each.model.packed for each in tips)
+        self.tables, self.beyond, self.seen = zip(*(
+            (each.model.packed, each.model.beyond.packed, each.model.seen.packed)
+            for each in tips))
         self.bristles = tuple(each.bristles for each in tips)
         plant = plant_of(simulator, interface)
         self.plant = tuple(pack(plant._replace(linear=each.model.linear)) for each in tips)
@@ -85,8 +87,9 @@ class _Model:
     @property
     def blocks(self):
         """All constants, in an order that does not depend on their values."""
-        return [*self.plant, self.loads, *self.tables, self.actuators, self.root, self.outline,
-                self.errors, *self.bristles, *(each for parts in self.parts for each in parts)]
+        return [*self.plant, self.loads, *self.tables, *self.beyond, *self.seen, self.actuators,
+                self.root, self.outline, self.errors, *self.bristles,
+                *(each for parts in self.parts for each in parts)]
 
     @property
     def length(self):
@@ -536,7 +539,8 @@ class Library(NamedTuple):
             for own, each in zip(model.blocks, other.blocks, strict=True):
                 if own.key != each.key:
                     raise ValueError(f'sizes of {own.kind.__name__} are others')
-                found.setdefault(id(own), each)
+                if bytes(found.setdefault(id(own), each).memory) != bytes(each.memory):
+                    raise ValueError(f'two of {own.kind.__name__} are not the same')
         return b''.join(bytes(found[id(own)].memory[:own.length])
                         for group in self.constants.values() for own in group)
 

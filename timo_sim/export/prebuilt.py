@@ -41,15 +41,15 @@ USUAL: list[dict[str, Any]] = [
      'end_effector.inertia': 5.0e-5}]
 
 
-# Kinds of the constants of entry points, by the name of the argument.
-_KINDS: dict[str, list[type]] = {
+# Kinds of the constants of entry points, by the name of the argument; None is that of `tables`.
+_KINDS: dict[str, list[Any]] = {
     'arm': [modes.UniformArm], 'tables': [exact_code.Tables, newton.Tables],
     'flow': [functions.Flow], 'propagator': [*etdrk4.one_step.bodies],
     'bristles': [bristles.Bristles],
     'lane': [lanes.Lane], 'plan': [lanes.Plan],
     'loads': [loads.SceneLoads], 'actuators': [loads.Actuators], 'plant': [instance.Plant],
     'root': [functions.Root], 'outline': [functions.Outline],
-    'errors': [sensors.SensorErrors],
+    'errors': [sensors.SensorErrors], 'beyond': [None], 'seen': [None],
     'instance': [instance.Instance]}
 
 
@@ -61,7 +61,8 @@ def entries() -> Iterator[tuple[EntryPoint, tuple[type, ...]]]:
                 continue
             names = [name for name, argument in entry.arguments.items()
                      if isinstance(argument, Constants)]
-            for kinds in product(*(_KINDS[name] for name in names)):
+            for chosen in product(*(_KINDS[name] for name in names)):
+                kinds = tuple(kind or chosen[names.index('tables')] for kind in chosen)
                 if newton.Tables not in kinds or module in (functions, etdrk4):
                     yield entry, kinds
 

@@ -54,10 +54,10 @@ OUTPUTS = {
                           _tip_angle),
     'tip_rotation': Quantity('rad', 'rotation of the end effector relative to the shaft',
                              lambda run: run.rotation()),
-    'root_strain': Quantity('', 'strain of the outer fibre at the root',
+    'root_strain': Quantity('', 'strain of the outer fibre at the gauge',
                             lambda run: run.root_strain()),
     'tip_acceleration': Quantity(
-        'm/s2', 'specific force on the tip across it, as an accelerometer shows it',
+        'm/s2', 'specific force across the tip, or where the IMU is, as that shows it',
         lambda run: run.tip_acceleration()[:, 1]),
 }
 UNITS = {

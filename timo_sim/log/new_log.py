@@ -43,7 +43,7 @@ class NewLog(Recorder):
         self._topics: dict[str, tuple] = {}
         self.summary: dict[str, str] = {}
         frames = frame_names(values)
-        for output in (*scene.outputs, TRANSFORMS):
+        for output in (*scene.outputs, scene.transforms):
             name = output.name
             topic = (name if name.startswith('/') else
                      node + name[1:] if name.startswith('~') else f'{namespace}/{name}')

@@ -58,23 +58,12 @@ class Exact(Formulation):
 
     def build(self) -> tuple[Any, np.ndarray]:
         """Return the tables and the linear part, that of the straight arm."""
-        modes = self.modes
-        # D integrates slopes at the nodes to the points of mass; d / m_t, and K (T26) or, along an
-        # axis on which the carrier is held, the kernel about the root (T30).
-        to_points = self.centres.integral.T
-        to_centre = to_points.T @ self.point_mass / self.mass
-        about_root = to_points.T @ (self.point_mass[:, np.newaxis] * to_points)
-        about_centre = about_root - self.mass * (to_centre[:, np.newaxis] * to_centre)
-        kernel = np.array([about_root if held else about_centre
-                           for held in self.constrained[:2].tolist()])
+        modes, (to_centre, kernel, at_points, rotary) = self.modes, self._masses()
 
         # Fields of the coordinates q_i, i = 0 is the shaft (T22), and Xi_ij (T26).
         _, rotation, _, shear, stretch, _ = self.at_nodes
         rotation, shear = self._with_shaft(1.0, rotation), self._with_shaft(0.0, shear)
         self._stretch = self._with_shaft(0.0, stretch).T
-        one = np.ones((len(self.points.xi), 1))
-        at_points = np.concatenate([one, self.points.rotation.T], axis=1)
-        rotary = at_points.T @ (self.point_inertia[:, np.newaxis] * at_points)
         rotary[0, 0] += self.manipulator.shaft_inertia
         if self.gear:  # (T60)
             rotary += self.rotor_matrix[2:, 2:]
@@ -108,6 +97,31 @@ class Exact(Formulation):
             tables = tables._replace(bands_per_speed=1.0 / (self._band * inertia),
                                      of_band=np.zeros_like(linear))
         return tables, linear
+
+    def _masses(self):
+        # D integrates slopes at the nodes to the points of mass; d / m_t, and K (T26) or, along an
+        # axis on which the carrier is held, the kernel about the root (T30); Phi_i there, Xi_ij.
+        to_points = self.centres.integral.T
+        to_centre = to_points.T @ self.point_mass / self.mass
+        about_root = to_points.T @ (self.point_mass[:, np.newaxis] * to_points)
+        about_centre = about_root - self.mass * (to_centre[:, np.newaxis] * to_centre)
+        kernel = np.array([about_root if held else about_centre
+                           for held in self.constrained[:2].tolist()])
+        one = np.ones((len(self.points.xi), 1))
+        at_points = np.concatenate([one, self.points.rotation.T], axis=1)
+        return to_centre, kernel, at_points, at_points.T @ (
+            self.point_inertia[:, np.newaxis] * at_points)
+
+    def tables_at(self, tip: Points) -> Any:
+        """Return tables whose tip is at a point."""
+        return self.tables._replace(to_tip=tip.integral[:, 0],
+                                    tip_rotation=np.append(1.0, tip.rotation[:, 0]))
+
+    def tables_of_masses(self) -> Any:
+        """Return the tables with other masses at other points, of an arm without a base."""
+        to_centre, kernel, _, rotary = self._masses()
+        return self.tables._replace(mass=self.mass, kernel=kernel[:len(self.tables.kernel)],
+                                    to_centre=to_centre, rotary=rotary)
 
     def at(self, xi: ArrayLike) -> Points:
         """Return points at distances xi from the root; the hub is one more node (T50)."""

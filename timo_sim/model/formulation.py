@@ -6,6 +6,7 @@
 from abc import ABC, abstractmethod
 from collections.abc import Callable, Sequence
 from copy import copy
+from dataclasses import replace
 from functools import cached_property
 import math
 from typing import Any, NamedTuple
@@ -18,7 +19,7 @@ from timo_sim.model.bodies import Constraints, Manipulator, Quadrature
 from timo_sim.model.functions import (
     accelerations_of, coulomb, efforts, energies, Flow, gear_torque, Outline, rate_once, Root,
     states, tips, within)
-from timo_sim.model.layout import LINKS, LOADS, rotate
+from timo_sim.model.layout import LINKS, LOADS, PUSH_X, PUSH_Y, rotate
 from timo_sim.model.modes import axial_modes, JoinedModes, Modes, modes_of
 
 
@@ -68,6 +69,8 @@ class Formulation(ABC):
         The same arm with another end effector, whose modes are assumed; by default its own.
     push : float
         Distance from the root to where the loads PUSH_X and PUSH_Y act [m]; 0: they do not.
+    gauge, imu : float
+        Distances from the root to the strain gauge, and to the IMU [m]; 0: that is at the tip.
     fastest : (float, float)
         Frequencies to which faster static shapes and axial modes are slowed down [rad/s], theory
         (T67).
@@ -104,7 +107,7 @@ class Formulation(ABC):
                  constraints: Constraints = Constraints(), nodes: int | None = None,
                  static: tuple[str, ...] = (), axial: int = 0,
                  gravity: Sequence[float] = (0.0, 0.0), basis: Manipulator | None = None,
-                 push: float = 0.0,
+                 push: float = 0.0, gauge: float = 0.0, imu: float = 0.0,
                  fastest: tuple[float, float] = (math.inf, math.inf)) -> None:
         self.manipulator, self.constraints = manipulator, constraints
         self.gravity = np.array(gravity, dtype=float)
@@ -154,6 +157,7 @@ class Formulation(ABC):
         self.arm_mass = self.point_mass.sum()
         self.mass = manipulator.base_mass + self.arm_mass
         self.push_point = self.at([push]) if push else None
+        self.gauge, self.imu = gauge, imu
         self.tables, self.linear = self.build()
         self._linear_parts: dict[float, dict[int | None, Any]] = {}
 
@@ -235,6 +239,41 @@ class Formulation(ABC):
     def build(self) -> tuple[Any, np.ndarray]:
         """Return the tables and the linear part."""
 
+    @abstractmethod
+    def tables_at(self, tip: Points) -> Any:
+        """Return tables whose tip is at a point."""
+
+    @abstractmethod
+    def tables_of_masses(self) -> Any:
+        """Return the tables with other masses at other points, of an arm without a base."""
+
+    @cached_property
+    def seen(self) -> 'Formulation':
+        """The formulation with the IMU's place for a tip: what that shows is all it is for."""
+        return self._with_tables(self.tables_at(self.imu_point)) if self.imu else self
+
+    @cached_property
+    def beyond(self) -> 'Formulation':
+        """The formulation with the masses beyond the gauge alone, whose `effort` they need."""
+        if not self.gauge:
+            return self
+        part, body = copy(self), self.manipulator
+        masses = Quadrature(np.union1d(body.arm.breaks, [self.gauge]),
+                            self.mass_count(len(self.quadrature.nodes)))
+        part.points, part.gear = self.at(masses.points), None
+        part.centres = part._centres_of(part.points)
+        part.point_mass, part.point_inertia = (
+            np.where(masses.points > self.gauge, each, 0.0) for each in body.inertia(masses))
+        part.mass = part.arm_mass = part.point_mass.sum() or np.finfo(float).tiny
+        part.manipulator = replace(
+            body, carrier_mass=0.0, motor_mass=0.0, shaft_inertia=0.0, gear=None)
+        return self._with_tables(part.tables_of_masses())
+
+    def _with_tables(self, tables):
+        other = copy(self)
+        other.tables, other.packed = tables, self.pack(tables)
+        return other
+
     def state(self, motion: np.ndarray) -> np.ndarray:
         """Return the states that belong to motions, (..., 2 (3 + N)), shape (..., m)."""
         motions = np.ascontiguousarray(motion, dtype=float).reshape(-1, self.size)
@@ -314,8 +353,9 @@ class Formulation(ABC):
 
     @cached_property
     def _accelerations(self):
-        return accelerations_of.of(self.packed, pack(Flow(self.linear, self.points.rotation)),
-                                   any_size=self.any_size)
+        return accelerations_of.of(
+            self.packed, self.seen.packed, pack(Flow(self.linear, self.points.rotation)),
+            any_size=self.any_size)
 
     def of_any_size(self) -> 'Formulation':
         """Return the formulation with code that is not made for its size, for few calls."""
@@ -327,7 +367,7 @@ class Formulation(ABC):
     def accelerations(self, motions: np.ndarray, states: np.ndarray,
                       loads: np.ndarray) -> tuple[np.ndarray, np.ndarray]:
         """
-        Return accelerations of coordinates, (n, 3 + N), and of the tip in world axes, (n, 2).
+        Return accelerations of coordinates, (n, 3 + N), and of the IMU in world axes, (n, 2).
 
         For n motions with their states and loads that act; see `functions.accelerate`.
         """
@@ -341,6 +381,11 @@ class Formulation(ABC):
     def tip_point(self) -> Points:
         """The tip, as `at` returns points."""
         return self.at([self.manipulator.arm.length])
+
+    @cached_property
+    def imu_point(self) -> Points:
+        """The place of the IMU, as `at` returns points."""
+        return self.at([self.imu]) if self.imu else self.tip_point
 
     @cached_property
     def link_ends(self) -> Points:
@@ -436,8 +481,11 @@ class Formulation(ABC):
     @cached_property
     def root(self) -> Root:
         """The constants of `functions.root_forces` and `functions.root_strain`."""
-        body, root = self.manipulator, np.zeros(1)
-        section = body.arm.at(root)
+        body, xi = self.manipulator, np.array([self.gauge])
+        section, inboard = body.arm.at(xi), self.at(xi[xi > 0.0])
+        acts = np.ones((len(inboard.xi), LOADS))
+        if self.push_point and self.push_point.xi[0] < self.gauge:
+            acts[:, [PUSH_X, PUSH_Y]] = 0.0
         height, stiffness, axial_stiffness = (float(np.ravel(value)[0]) for value in (
             section.height, section.bending_stiffness, section.axial_stiffness))
         rotor = [self.gear.inertia * self.rotor] if self.gear else []
@@ -447,7 +495,9 @@ class Formulation(ABC):
             rotor=np.reshape(rotor, (-1, self.size // 2)),
             strain_of_moment=0.5 * height / stiffness,
             strain_of_force=1.0 / axial_stiffness if self.axial else 0.0,
-            strain_of_rates=-self._strains(root) * self.modal_damping / self.modes.omega**2)
+            strain_of_rates=-self._strains(xi) * self.modal_damping / self.modes.omega**2,
+            lever=inboard.lever, deflection=inboard.deflection, integral=inboard.integral.T,
+            acts=acts, rotation=inboard.rotation.T)
 
     def world(self, motions: np.ndarray, points: Points) -> np.ndarray:
         """Return the world positions of points of the centre line, shape (n, p, 2) [m]."""

@@ -227,7 +227,12 @@ def energy_of_momenta(tables, axial, motion, momenta):
 
 
 class Root(NamedTuple):
-    """Constants of forces and strain at the root of the arm."""
+    """
+    Constants of forces at the root of the arm, and of its strain gauge.
+
+    `gauges` is 1 if the gauge is not at the root, else 0. These fields of it are those of an
+    `Outline`, beside what of a load acts beyond it, and rotations of its section.
+    """
 
     base_mass: float       # of carrier and motor [kg]
     shaft_inertia: float   # [kg m2]
@@ -236,13 +241,18 @@ class Root(NamedTuple):
     constrained: Annotated[np.ndarray, int, 3]  # whether carrier x, y and shaft are
     # What accelerations of all coordinates need of torque at the rotor of an elastic gear.
     rotor: Annotated[np.ndarray, 'gears', 'accelerations']
-    # Strain of the outer fibre per moment and axial force there, and per modal rate.
+    # Strain of the outer fibre per moment and axial force at the gauge, and per modal rate.
     strain_of_moment: float
     strain_of_force: float  # 0 if the arm does not stretch
     strain_of_rates: Annotated[np.ndarray, 'modes']
+    lever: Annotated[np.ndarray, 'gauges']
+    deflection: Annotated[np.ndarray, 'modes', 'gauges']
+    integral: Annotated[np.ndarray, 'gauges', 'padded_nodes']
+    acts: Annotated[np.ndarray, 'gauges', LOADS]
+    rotation: Annotated[np.ndarray, 'gauges', 'modes']
 
 
-# Python calls these two functions, too, with arrays for many motions, (..., n).
+# Python calls these three functions, too, with arrays for many motions, (..., n).
 
 @inner
 def root_forces(tables, root, motion, accelerations, needed, load):
@@ -267,6 +277,23 @@ def root_forces(tables, root, motion, accelerations, needed, load):
     y = root.base_mass * accelerations[1] - needed[1]
     sine, cosine = sincos(motion[2])
     return cosine * x + sine * y, moment - root.hub_radius * (cosine * y - sine * x)
+
+
+@inner
+def gauge_forces(rotation, motion, needed, along, across):
+    """
+    Return axial force and moment in a section, by the balance of the arm beyond it (T72).
+
+    That `needed` the force and torque about the shaft that `effort` writes. The section has these
+    rotations by mode, (N,), and is `along` and `across` the arm from the shaft's axis.
+    """
+    sine, cosine = sincos(motion[2])
+    x, y = cosine * needed[0] + sine * needed[1], cosine * needed[1] - sine * needed[0]
+    turn = 0.0
+    for n in range(len(rotation)):
+        turn = turn + rotation[n] * motion[3 + n]
+    sine, cosine = sincos(turn)
+    return -(cosine * x + sine * y), along * y - across * x - needed[2]
 
 
 @inner
@@ -311,12 +338,12 @@ _TURN = 1e-5  # largest turn of a section in half of the time between two motion
 
 
 @inner
-def accelerate(tables, flow, motion, state, load, accelerations):
+def accelerate(tables, seen, flow, motion, state, load, accelerations):
     """
-    Write the accelerations of all coordinates under a load; return the tip's in world axes.
+    Write the accelerations of all coordinates under a load; return those of an IMU in world axes.
 
-    They are central differences of speeds along the flow: states and drives are extrapolated
-    linearly.
+    That is at the tip of the tables `seen`. They are central differences of speeds along the flow:
+    states and drives are extrapolated linearly.
     """
     room = local_arrays(_Room, tables)
     slope, moved, drift = room.slope, room.moved, room.drift
@@ -345,7 +372,7 @@ def accelerate(tables, flow, motion, state, load, accelerations):
         drift[SPEED_X] += sign * load[ACCELERATION_X]
         drift[SPEED_Y] += sign * load[ACCELERATION_Y]
         observe(tables, moved, drift, room.motion)
-        tip_x, tip_y = tip_velocity(tables, room)
+        tip_x, tip_y = tip_velocity(seen, room)
         if k:
             x, y = (tip_x - x) / (2.0 * time), (tip_y - y) / (2.0 * time)
         else:
@@ -370,13 +397,15 @@ def tip_velocity(tables, room):
             motion[half + 1] + (sine * along + cosine * across))
 
 
-@entry_point(tables=Constants(), flow=Constants(), motions=Array((None, 'motion')),
-             states=Array((None, 'state')), loads=Array((None, LOADS)), count=int,
-             out=Array((None, 'accelerations')), tips=Array((None, 2)))
-def accelerations_of(tables, flow, motions, states, loads, count, out, tips):
+@entry_point(tables=Constants(), seen=Constants(), flow=Constants(),
+             motions=Array((None, 'motion')), states=Array((None, 'state')),
+             loads=Array((None, LOADS)), count=int, out=Array((None, 'accelerations')),
+             tips=Array((None, 2)))
+def accelerations_of(tables, seen, flow, motions, states, loads, count, out, tips):
     """Call `accelerate` from Python for each of `count` motions."""
     for k in range(count):
-        tips[k, 0], tips[k, 1] = accelerate(tables, flow, motions[k], states[k], loads[k], out[k])
+        tips[k, 0], tips[k, 1] = accelerate(
+            tables, seen, flow, motions[k], states[k], loads[k], out[k])
 
 
 @entry_point(tables=Constants(), state=Array(('state',)), load=Array((LOADS,)),

@@ -191,6 +191,21 @@ class Newton(Formulation):
             modal_mass=turning_mass[1:, 1:])
         return tables, linear
 
+    def tables_at(self, tip: Points) -> Any:
+        """Return tables whose tip is at a point."""
+        return self.tables._replace(length=tip.lever[0], tip_deflection=tip.deflection[:, 0],
+                                    tip_rotation=tip.rotation[:, 0])
+
+    def tables_of_masses(self) -> Any:
+        """Return the tables with other masses at other points, of an arm without a base."""
+        laws = Newton.laws(self)
+        return self.tables._replace(
+            base_mass=0.0, arm_mass=self.arm_mass, first_moment=self.first_moment,
+            softening=laws.softening, shear_row=laws.shear_row, axial=laws.axial,
+            shear_softening=laws.shear_softening, shear_mass=laws.shear_mass,
+            shaft_row=laws.matrix[0], shaft_column=laws.column[0], shaft_stress=laws.stress[0],
+            shear_stress=laws.shear_stress)
+
     @cached_property
     def _tension(self):
         # Geometric stiffness of the first mode per axial force on the tip and on the arm, per

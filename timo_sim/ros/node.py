@@ -30,7 +30,6 @@ from timo_sim.scene.scene import scene_from
 from timo_sim.simulation.finer import EstimatingSimulator, STEPS_BEHIND
 from timo_sim.simulation.simulator import Simulator
 from timo_sim.simulation.snapshot import Snapshot
-from timo_sim.topics.outputs import TRANSFORMS
 
 _LONGEST_SLEEP = 0.1  # [s] after which a sleeping node looks at its flags
 
@@ -94,7 +93,8 @@ class SimNode(ParameterNode):
             outlets.append(MotionOutlet(self, output, self.frames, delay=delay))
             outlets[-1].always_logged = not output.delay or self._values['record_sensors']
         try:
-            outlets.append(MotionOutlet(self, TRANSFORMS, self.frames, self._values['publish_tf']))
+            outlets.append(MotionOutlet(self, scene.transforms, self.frames,
+                                        self._values['publish_tf']))
         except ModuleNotFoundError as error:
             raise ParameterError(f'publish_tf needs {error.name}, which is not installed: apt-get '
                                  'install ros-$ROS_DISTRO-tf2-msgs') from None

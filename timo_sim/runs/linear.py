@@ -397,7 +397,6 @@ def _outputs(model, motion, load):
                if sensor.of_motion and sensor.output != 'shaft_rad'
                and (model.gear or not sensor.of_gear)}
     rotor = {'rotor_velocity_rad_per_s': motion[half:] @ model.rotor} if model.gear else {}
-    turning = model.section_rotation(motions[:, half + 3:], tip)[0, 0]
     specific = joints.tip_acceleration[0]
     return {
         'carrier_x_m': motion[0], 'carrier_y_m': motion[1], 'shaft_rad': motion[2],
@@ -407,7 +406,7 @@ def _outputs(model, motion, load):
         'carrier_x_velocity_m_per_s': motion[half],
         'carrier_y_velocity_m_per_s': motion[half + 1],
         'shaft_velocity_rad_per_s': motion[half + 2], **sensors, **rotor,
-        'gyro_rad_per_s': motion[half + 2] + turning,
+        'gyro_rad_per_s': joints.tip_turning[0],
         'tip_acceleration_along_m_per_s2': specific[0],
         'tip_acceleration_m_per_s2': specific[1]}
 

@@ -76,9 +76,11 @@ def check_together(values: Mapping[str, Any]) -> None:
                                  f'carrier.held = {held}')
     if len(values['gravity']) != 2:
         raise ParameterError(f'gravity must have 2 elements, got {len(values["gravity"])}')
-    if values['push.position'] > values['arm.length']:
-        raise ParameterError('push.position must be at most arm.length = '
-                             f'{values["arm.length"]:g} m, got {values["push.position"]:g}')
+    for name in 'push', 'sensor.root_strain', 'sensor.tip_imu':
+        if values[f'{name}.position'] > values['arm.length']:
+            raise ParameterError(
+                f'{name}.position must be at most arm.length = {values["arm.length"]:g} m, got '
+                f'{values[f"{name}.position"]:g}')
     for each in INPUTS:
         if each.needs and each.prescribed and not values[each.needs]:
             for name in TERM_NAMES[each.name]:

@@ -421,6 +421,10 @@ _ALL = [
     Parameter('sensor.seed', 0, '', 'seed of the noise of all sensors', low=0, high=1000000000),
     *[parameter for sensor in SENSORS
       for parameter in _sensor(sensor.name, sensor.unit, sensor.meaning)],
+    _not_negative('sensor.root_strain.position', 0.0, 'm', 'distance from the root to the strain '
+                  'gauge'),
+    _not_negative('sensor.tip_imu.position', 0.0, 'm', 'distance from the root to the IMU; 0: it '
+                  'is at the tip'),
     *[_not_negative(output.delay, 0.0, 's', 'sim time from a measurement to its message on '
                     f'{output.name}, a whole multiple of integrator.step', high=1000.0)
       for output in _OUTPUTS if output.delay],

@@ -37,7 +37,8 @@ from timo_sim.scene.plausible import find_implausible, find_outdated
 from timo_sim.scene.static_shapes import (
     fastest_shape, needed_static, SLOWED, STATIC, with_shapes)
 from timo_sim.steps.sensors import add_errors, SensorErrors
-from timo_sim.topics.outputs import Output, outputs, SENSORS, title
+from timo_sim.topics.outputs import (
+    Output, outputs, SENSORS, title, TRANSFORMS, TRANSFORMS_OF_IMU)
 
 # Phase of an axial vibration in a step above which a scene has it slowed down [rad]: bent arms
 # diverged from 0.88 on.
@@ -102,7 +103,13 @@ class Scene:
     @property
     def outputs(self) -> list[Output]:
         """The topics that carry its motion."""
-        return outputs(self.modal_count, self.manipulator.gear is not None)
+        return outputs(self.modal_count, self.manipulator.gear is not None,
+                       bool(self.values['sensor.tip_imu.position']))
+
+    @property
+    def transforms(self) -> Output:
+        """The topic with its frames."""
+        return TRANSFORMS_OF_IMU if self.values['sensor.tip_imu.position'] else TRANSFORMS
 
     @checked(tip=_TIP, first=_TIP)
     def build(self, tip: tuple[Any, ...] | None = None,
@@ -127,6 +134,7 @@ class Scene:
             tuple(np.ravel(damping).tolist()), self.constraints, static=self.static,
             axial=values['model.axial_modes'], gravity=tuple(values['gravity']),
             basis=basis or body, push=values['push.position'],
+            gauge=values['sensor.root_strain.position'], imu=values['sensor.tip_imu.position'],
             fastest=(self.fastest_shape, self.fastest))
 
     @cached_property
@@ -210,7 +218,7 @@ class Scene:
     def has_sensor_errors(self) -> bool:
         """Whether a reading differs from what is measured, or comes later."""
         return any(value for name, value in self.values.items()
-                   if name.startswith('sensor.') and name != 'sensor.seed')
+                   if name.startswith('sensor.') and not name.endswith(('.seed', '.position')))
 
     @property
     def has_dry_friction(self) -> bool:

@@ -13,7 +13,7 @@ from typing import Any
 import numpy as np
 
 from timo_sim.model.formulation import Formulation
-from timo_sim.model.functions import root_forces, root_strain, spring_torque
+from timo_sim.model.functions import gauge_forces, root_forces, root_strain, spring_torque
 from timo_sim.model.layout import (
     FORCE_I, FORCE_II, FORCE_X, FORCE_Y, Motion, MOTOR_FRICTION, place, rotate, TORQUE)
 from timo_sim.scene.scene import Scene
@@ -46,7 +46,7 @@ class Joints:
 
     @cached_property
     def accelerations(self) -> tuple[np.ndarray, np.ndarray]:
-        """Accelerations of the coordinates, (n, 3 + N), and of the tip in world axes, (n, 2)."""
+        """Accelerations of the coordinates, (n, 3 + N), and of the IMU in world axes, (n, 2)."""
         return self.model.accelerations(self.motions, self._states, self._loads)
 
     @cached_property
@@ -71,6 +71,15 @@ class Joints:
         return self._root_forces[1]
 
     @cached_property
+    def _gauge_forces(self):
+        model, root = self.model, self.model.root
+        if not model.gauge:
+            return self._root_forces
+        needed = model.beyond.effort(self.motions, self.accelerations[0], self._loads * root.acts)
+        place = model.centre_line(Motion(self.motions).q, model.at([model.gauge]))[:, 0]
+        return gauge_forces(root.rotation[0], self.motions.T, needed.T, *place.T)
+
+    @cached_property
     def _root_forces(self):
         model, specific = self.model, self.accelerations[0].T.copy()
         specific[:2] -= model.gravity[:, np.newaxis]
@@ -79,21 +88,21 @@ class Joints:
 
     @property
     def root_strain(self) -> np.ndarray:
-        """Strain of the outer fibre at the root, axial strain included, shape (n,)."""
-        return root_strain(self.model.root, self.motions.T, *self._root_forces)
+        """Strain of the outer fibre at the gauge, axial strain included, shape (n,)."""
+        return root_strain(self.model.root, self.motions.T, *self._gauge_forces)
 
     @property
     def tip_acceleration(self) -> np.ndarray:
-        """Specific force at the tip, acceleration less gravity, in its axes, (n, 2) [m/s2]."""
+        """Specific force at the IMU, acceleration less gravity, in its axes, (n, 2) [m/s2]."""
         motion, model = Motion(self.motions), self.model
-        turned = motion.shaft + model.section_rotation(motion.q, model.tip_point)[:, 0]
+        turned = motion.shaft + model.section_rotation(motion.q, model.imu_point)[:, 0]
         return np.column_stack(rotate(-turned, *(self.accelerations[1] - model.gravity).T))
 
     @property
     def tip_turning(self) -> np.ndarray:
-        """Angular velocity of the end effector, shape (n,) [rad/s]."""
+        """Angular velocity of the IMU, shape (n,) [rad/s]."""
         motion = Motion(self.motions)
-        return motion.shaft_velocity + motion.qdot @ self.model.points.rotation[:, -1]
+        return motion.shaft_velocity + motion.qdot @ self.model.imu_point.rotation[:, 0]
 
 
 def add_bristles(scene: Scene, model: Formulation, motions: np.ndarray, loads: np.ndarray) -> None:

@@ -17,7 +17,7 @@ from timo_sim.compiled.entry import EntryPoint
 from timo_sim.compiled.functions import (
     Array, as_vectors, Constants, inner, square_root, sum_of, with_derivatives,
     without_derivatives)
-from timo_sim.model.functions import copy, observe, rotor_turn, state_of, tip, tip_rate
+from timo_sim.model.functions import copy, observe, rotor_turn, state_of, tip_rate
 from timo_sim.model.layout import AFTER, LOADS, STEP_LOADS
 from timo_sim.steps.bristles import add_friction, MEMORY
 from timo_sim.steps.derivatives import differentiate, ENTRIES
@@ -70,7 +70,6 @@ class _Seen(NamedTuple):
     load: Annotated[np.ndarray, LOADS]
     accelerations: Annotated[np.ndarray, 'accelerations']
     needed: Annotated[np.ndarray, 3]
-    tip: Annotated[np.ndarray, 3]
     tip_rate: Annotated[np.ndarray, 3]
     axes: Annotated[np.ndarray, SENSED]
 
@@ -146,23 +145,22 @@ def _predict(known, steps):
 
 
 @inner
-def _sense(tables, flow, root, gravity, forces, seen):
+def _sense(tables, beyond, sight, flow, root, gravity, forces, seen):
     """Write what sensors should show in a motion under a load that acts."""
     motion, axes, half = seen.motion, seen.axes, len(seen.motion) // 2
-    tip(tables, motion, seen.tip)
-    tip_rate(tables, motion, seen.tip_rate)
+    tip_rate(sight, motion, seen.tip_rate)
     axes[3] = motion[half + 2] + seen.tip_rate[2]
     axes[4] = motion[2]
     axes[5] = rotor_turn(root, motion, 0)
     if forces:
         state_of(tables, motion, seen.state)
         axes[0], axes[1], axes[2] = sense_forces(
-            tables, flow, root, gravity, motion, motion[2] + seen.tip[2], seen.state, seen.load,
+            tables, beyond, sight, flow, root, gravity, motion, seen.state, seen.load,
             seen.accelerations, seen.needed)
 
 
 @inner
-def _expect(tables, flow, root, known, acting, count):
+def _expect(tables, beyond, sight, flow, root, known, acting, count):
     """Set what is expected of the first `count` numbers, and its derivatives by the states."""
     seen, places, forces = local_arrays(_Seen, tables), known.places, False
     by_state, by_load, found = (with_derivatives(seen.motion), with_derivatives(seen.load),
@@ -184,7 +182,7 @@ def _expect(tables, flow, root, known, acting, count):
             else:
                 for i in range(LOADS):
                     by_load[i, 1 + k - first] = known.unit[k - free, i]
-        _sense(tables, flow, root, known.gravity, forces, seen)
+        _sense(tables, beyond, sight, flow, root, known.gravity, forces, seen)
         for r in range(count):
             known.expected[r] = found[known.axis[r], 0] + known.bias[known.axis[r]]
             for k in range(first, last):
@@ -192,11 +190,11 @@ def _expect(tables, flow, root, known, acting, count):
 
 
 @inner
-def _correct(tables, flow, root, known, acting, count):
+def _correct(tables, beyond, sight, flow, root, known, acting, count):
     """Take the first `count` numbers that are `shown` in the motion, under a load that acts."""
     joint, lower, states = known.joint, known.lower, len(known.root)
     free = len(known.places)
-    _expect(tables, flow, root, known, acting, count)
+    _expect(tables, beyond, sight, flow, root, known, acting, count)
     # A factor of the joint covariance of readings and states (T58).
     _clear(joint)
     for r in range(count):
@@ -222,8 +220,8 @@ def _correct(tables, flow, root, known, acting, count):
     _take(lower, count, known.root)
 
 
-def update(tables, propagator, bristles, flow, root, known, state, memory, load, loads, count,
-           readings):
+def update(tables, propagator, bristles, beyond, sight, flow, root, known, state, memory, load,
+           loads, count, readings):
     """
     Go on by `count` steps, then take the first `readings` numbers that are `shown`.
 
@@ -246,14 +244,15 @@ def update(tables, propagator, bristles, flow, root, known, state, memory, load,
     if done == count and readings > 0:
         copy(load, room.acting)
         add_friction(memory, room.acting)
-        _correct(tables, flow, root, known, room.acting, readings)
+        _correct(tables, beyond, sight, flow, root, known, room.acting, readings)
     state_of(plain, motion, state)
     return done if is_finite(motion) else -1
 
 
 # By the size of duals.
 UPDATES = {size: EntryPoint(update, {
-    **dict.fromkeys(('tables', 'propagator', 'bristles', 'flow', 'root'), Constants(duals=size)),
+    **dict.fromkeys(('tables', 'propagator', 'bristles', 'beyond', 'sight', 'flow', 'root'),
+                    Constants(duals=size)),
     'known': Constants(), 'state': Array(('state',), own=True),
     'memory': Array((MEMORY,), own=True), 'load': Array((LOADS,), own=True),
     'loads': Array((None, STEP_LOADS, LOADS), own=True), 'count': int, 'readings': int},

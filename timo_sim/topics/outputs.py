@@ -73,14 +73,14 @@ class Sensor(NamedTuple):
 IMU = '~/tip_imu/data_raw'
 # The random numbers of a sensor depend on its place in this list: append only.
 SENSORS = (
-    Sensor('root_strain', '', 'the strain of the outer fibre at the root',
+    Sensor('root_strain', '', 'the strain of the outer fibre at the gauge',
            '~/root_strain', ('outer_fibre',),
            read=lambda joints: joints.root_strain, quantity='root_strain'),
     Sensor('tip_acceleration', 'm/s2', 'either axis of the specific force '
-           '(acceleration less gravity) of the tip',
+           '(acceleration less gravity) of the IMU',
            IMU, ('acceleration_x_m_per_s2', 'acceleration_y_m_per_s2'),
            read=lambda joints: joints.tip_acceleration, quantity='tip_acceleration'),
-    Sensor('gyro', 'rad/s', 'the angular velocity of the tip',
+    Sensor('gyro', 'rad/s', 'the angular velocity of the IMU',
            IMU, ('turning_rad_per_s',), read=lambda joints: joints.tip_turning),
     Sensor('encoder', 'rad', 'the shaft angle',
            '~/encoder', ('shaft_rad',),
@@ -95,7 +95,7 @@ SENSORS = (
 _GRAVITY = 9.80665  # [m/s2]
 # The parent of each frame is the one before it; arm turns with the shaft. A node may give them
 # other names, see `in_frames`. Between world and carrier is carrier_rail; arm_1, arm_2, ... are
-# links from the root on, which follow the bent arm.
+# links from the root on, which follow the bent arm; arm_imu is an IMU that is not at the tip.
 FRAMES = 'world', 'carrier', 'arm', 'tip'
 
 
@@ -135,7 +135,11 @@ def _links(snapshot):
     along = np.full(LINKS, body.arm.length / LINKS)
     along[0] = body.hub_radius
     # Of the precision of pictures: logs are smaller by 3 %.
-    return np.float32(np.column_stack([along, np.sin(half), np.cos(half)])).ravel().tolist()
+    found = np.float32(np.column_stack([along, np.sin(half), np.cos(half)])).ravel().tolist()
+    if snapshot.model.imu:
+        *place, turn = snapshot.model.seen.tip(snapshot.motion).tolist()
+        found += [*place, math.sin(0.5 * turn), math.cos(0.5 * turn)]
+    return found
 
 
 class Output(NamedTuple):
@@ -201,9 +205,9 @@ _POSE = {
 }
 
 
-def _imu(x, y, turning):
+def _imu(frame, x, y, turning):
     return {
-        'header': _frame('tip'),
+        'header': _frame(frame),
         # REP 145: -1 means no orientation; a covariance of zeros means that it is unknown.
         'orientation_covariance': [-1.0] + 8 * [0.0],
         # An accelerometer shows specific force: +g along z where the plane is horizontal.
@@ -213,7 +217,7 @@ def _imu(x, y, turning):
         'angular_velocity_covariance': _diagonal(0.0, 0.0, Number())}
 
 
-def _sensor_outputs(gear):
+def _sensor_outputs(gear, imu):
     """Yield the Outputs of sensors, one for each topic."""
     topics: dict[str, list[Sensor]] = {}
     for sensor in [each for each in SENSORS if gear or not each.of_gear]:
@@ -227,18 +231,20 @@ def _sensor_outputs(gear):
 
         if topic == IMU:
             yield Output(name=topic, type_name='sensor_msgs/msg/Imu', numbers=read,
-                         template=_imu(*columns), delay=delay, unlogged=_imu_unlogged)
+                         template=_imu('arm_imu' if imu else 'tip', *columns), delay=delay,
+                         unlogged=_imu_unlogged)
         else:
             joint = sensors[0].joint or sensors[0].name
             yield Output(topic, 'sensor_msgs/msg/JointState', read, {
                 'name': [joint], 'position': _numbers(*columns)}, delay)
 
 
-def outputs(modes: int, gear: bool = True) -> list[Output]:
+def outputs(modes: int, gear: bool = True, imu: bool = False) -> list[Output]:
     """
     Return the list of Outputs, the topics that carry the motion, for a number of modes.
 
-    `gear` says whether those of an elastic gear are among them; see `Scene.outputs`.
+    `gear` says whether those of an elastic gear are among them, `imu` whether an IMU is not at the
+    tip; see `Scene.outputs`.
     """
     names = [f'mode_{n + 1}' for n in range(modes)]
     modal = [Output('~/modal_state', 'sensor_msgs/msg/JointState',
@@ -264,7 +270,7 @@ def outputs(modes: int, gear: bool = True) -> list[Output]:
         Output('~/carrier_pose', 'geometry_msgs/msg/PoseStamped',
                lambda snapshot: (*snapshot.joint_positions[:2], 0.0, 1.0), _POSE),
         Output('/clock', 'rosgraph_msgs/msg/Clock', lambda snapshot: (), {}),
-        *_sensor_outputs(gear),
+        *_sensor_outputs(gear, imu),
     ]
 
 
@@ -279,6 +285,10 @@ TRANSFORMS = Output('/tf', 'tf2_msgs/msg/TFMessage', _transforms, {'transforms':
     *[_frame_below(f'arm_{k}' if k else 'arm', f'arm_{k + 1}', translation={'x': Number()},
                    rotation={'z': Number(), 'w': Number()}) for k in range(LINKS)],
 ]}, unlogged=_links)
+TRANSFORMS_OF_IMU = TRANSFORMS._replace(template={'transforms': [
+    *TRANSFORMS.template['transforms'],
+    _frame_below('arm', 'arm_imu', translation={'x': Number(), 'y': Number()},
+                 rotation={'z': Number(), 'w': Number()})]})
 
 
 def in_frames(template: Any, names: Mapping[str, str]) -> Any:
