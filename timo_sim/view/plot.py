@@ -35,7 +35,10 @@ def plot(run: Any, deflection_scale: float = 1.0) -> Figure:
     """
     track, panels, bend = Track(run, '', deflection_scale), _panels(run), run.deflection()
     parts = np.array_split(np.arange(len(run.t)), min(_ARMS, len(run.t)))
-    most = np.array([part[np.abs(bend[part, 1]).argmax()] for part in parts])
+    most: Any = []
+    for part in parts:  # two arms of one swing at the border of two parts would be one picture
+        apart = part[part - most[-1] > len(part) // 4] if most else part
+        most.append(apart[np.abs(bend[apart, 1]).argmax()])
     shapes, straight = track.line(slice(None)), track.straight(most)
     extent, height = np.ptp(shapes, axis=(0, 1)), max(2.0 * len(panels), 6.0)
     width = min(max(height * extent[0] / max(extent[1], 0.1 * extent[0]), 3.0), 9.0)
@@ -158,7 +161,7 @@ def shapes(vibrations: Any) -> Figure:
         axes.set(title=f'{frequency:.4g} Hz, damping {damping:.2g}', aspect='equal',
                  ylabel='across [m]')
         axes.grid(alpha=0.3)
-    panels[-1].set(xlabel='along the shaft [m]')
+    panels[-1].set(xlabel='along the arm [m]')
     return figure
 
 
