@@ -109,33 +109,40 @@ class UniformModes(Modes):
     """
 
     def __init__(self, manipulator: Manipulator, count: int) -> None:
-        section = manipulator.arm.section
-        self._arm = pack(UniformArm(
-            manipulator.arm.length, section.mass_per_length, section.bending_stiffness,
-            section.shear_stiffness, *section.ratios,
-            end_effector_mass=manipulator.end_effector_mass,
-            end_effector_inertia=manipulator.end_effector_inertia,
-            end_effector_offset=manipulator.end_effector_offset,
-            root=sum(section.bending_stiffness / each for each in manipulator.arm.root)))
-        super().__init__(np.empty(count))
-        self._shape = np.empty((count, 4))
-        found = lowest_modes(self._arm, self.omega, self._shape, count)
-        if found < count:
-            raise ValueError(f'mode {found + 1} of the arm is not found above the one before: its '
-                             'numbers are too large or too small together')
-        fine = Quadrature(manipulator.arm.breaks, 4 * count + 40)
-        mass, inertia = manipulator.inertia(fine)
-        deflection, rotation, *_ = self.fields(fine.points)
-        modal_mass = (mass @ manipulator.of_masses(deflection, rotation)**2
-                      + inertia @ rotation**2)
-        self._shape /= np.sqrt(modal_mass)[:, np.newaxis]
+        self._arm, known = _found(manipulator)
+        omega, shape = known[0]
+        if len(omega) < count:
+            omega, shape = (np.resize(each, (count, *each.shape[1:])) for each in known[0])
+            found = lowest_modes(self._arm, omega, shape, len(known[0][0]), count, *_GAUSS)
+            if found < count:
+                raise ValueError(f'mode {found + 1} of the arm is not found above the one before: '
+                                 'its numbers are too large or too small together')
+            known[0] = omega, shape
+        super().__init__(omega[:count])
+        self._shape = shape[:count]
 
     def fields(self, xi: np.ndarray) -> Sequence[np.ndarray]:
         """Return all fields, see `Modes`."""
-        xi, count = np.ascontiguousarray(xi, dtype=float), len(self)
+        xi, count = np.array(xi, dtype=float), len(self)
         values, none = np.empty((len(xi) * count, 4)), np.zeros((len(xi), count))
         set_fields(self._arm, self.omega, count, self._shape, xi, len(xi), values)
         return [*values.reshape(len(xi), count, 4).transpose(2, 0, 1), none, none]
+
+
+@functools.lru_cache(maxsize=16)
+def _found(manipulator):
+    # Returns the packed UniformArm, and a list of what is known of its lowest modes: frequencies
+    # and shapes. A mode does not depend on how many are asked for, so each is found once, for a
+    # run, the check of its scene and its finer run.
+    section = manipulator.arm.section
+    return pack(UniformArm(
+        manipulator.arm.length, section.mass_per_length, section.bending_stiffness,
+        section.shear_stiffness, *section.ratios,
+        end_effector_mass=manipulator.end_effector_mass,
+        end_effector_inertia=manipulator.end_effector_inertia,
+        end_effector_offset=manipulator.end_effector_offset,
+        root=sum(section.bending_stiffness / each for each in manipulator.arm.root))), [
+            (np.empty(0), np.empty((0, 4)))]
 
 
 # Waves of a uniform arm, whose sums are its mode shapes: boundary conditions and fields, compiled.
@@ -325,24 +332,53 @@ def _set_shape(arm, omega, shape):
     one, other = _cofactors(force, minors), _cofactors(moment, minors)
     if _dot(one, one) * _dot(moment, moment) < _dot(other, other) * _dot(force, force):
         one = other
-    sign = 1.0 if _dot(one, curvature) > 0.0 else -1.0
+    factor = (1.0 if _dot(one, curvature) > 0.0 else -1.0) / square_root(_dot(one, one))
     for j in range(4):
-        shape[j] = sign * one[j]
+        shape[j] = factor * one[j]
+
+
+@strict
+def _deflections(arm, omega, shape, xi):
+    """Return deflection and rotation of a mode at a point."""
+    g, integral, s, nu = _waves(arm, omega, xi)
+    return _dot(shape, g), _dot(shape, _scaled(integral, (
+        s[0] + nu, s[1] + nu, s[2] + nu, s[3] + nu)))
+
+
+@strict
+def _modal_mass(arm, omega, shape, spans, nodes, weights):
+    """Return the modal mass of a mode (T3), by a Gauss rule in each of equal spans of the arm."""
+    deflection, rotation = _deflections(arm, omega, shape, arm.length)
+    total = arm.end_effector_mass * _square(
+        deflection + arm.end_effector_offset * rotation) + (
+            arm.end_effector_inertia * _square(rotation))
+    half = 0.5 * arm.length / spans
+    for span in range(spans):
+        for i in range(_NODES):
+            deflection, rotation = _deflections(
+                arm, omega, shape, half * (2 * span + 1 + nodes[i]))
+            total += half * weights[i] * arm.mass_per_length * (
+                _square(deflection) + arm.radius2 * _square(rotation))
+    return total
 
 
 _HIGHEST = 1e100  # frequency whose square does not overflow [rad/s]
+_NODES = 16  # of the rule for modal masses, in each of two spans more than the mode has waves
+_GAUSS = np.polynomial.legendre.leggauss(_NODES)
 _SEPARATE = 1e-12  # relative distance of two modes whose shapes are told apart: 5000 last places
 
 
-@entry_point(arm=Constants(), omega=Array((None,)), shape=Array((None, 4)), count=int)
-def lowest_modes(arm, omega, shape, count):
+@entry_point(arm=Constants(), omega=Array((None,)), shape=Array((None, 4)), known=int, count=int,
+             nodes=Array((_NODES,)), weights=Array((_NODES,)))
+def lowest_modes(arm, omega, shape, known, count, nodes, weights):
     """
-    Write the lowest eigenfrequencies [rad/s], `count` of them, to the last bit, and shapes.
+    Write the eigenfrequencies [rad/s] to the last bit, and shapes, of `count` modes but the known.
 
-    Return how many are found before one that is not above the one before.
+    Shapes, the shares of waves, are those of unit modal masses, which a Gauss rule integrates.
+    Return how many modes are found before one that is not above the one before.
     """
     least = square_root(arm.bending_stiffness / arm.mass_per_length) / (arm.length * arm.length)
-    for n in range(count):
+    for n in range(known, count):
         low = omega[n - 1] if n else 0.0
         high = max(2.0 * low, least)
         while _modes_below(arm, high) <= n:
@@ -361,6 +397,9 @@ def lowest_modes(arm, omega, shape, count):
         if n and not high > omega[n - 1] * (1.0 + _SEPARATE):
             return n
         _set_shape(arm, high, shape[n])
+        root = square_root(_modal_mass(arm, high, shape[n], n + 2, nodes, weights))
+        for j in range(4):
+            shape[n, j] /= root
     return count
 
 
