@@ -110,7 +110,7 @@ class Packed:
         self.sizes, self.offsets, self.length, self._layout, places, self.key = layout
         self.groups = len(values[0]) // lanes if lanes else 1
         memory = np.zeros(self.groups * self.length + _CACHE_LINE, dtype=np.uint8)
-        begin = -memory.ctypes.data % _CACHE_LINE
+        begin = -ctypes.addressof((ctypes.c_char * 0).from_buffer(memory)) % _CACHE_LINE
         self.memory = memory[begin:begin + self.groups * self.length]
         if not lanes:  # what is padded stays zero
             self.memory.view(float)[places] = np.concatenate([each.ravel() for each in values])

@@ -41,6 +41,12 @@ class EntryPoint(Function):
 
         `any_size` is slower code that serves all sizes, and differs in round-off.
         """
+        code, wanted, places = self._code_for(constants, any_size)
+        return Call(entry=self, any_size=any_size, code=code, wanted=wanted, sizes=places,
+                    constants=constants)
+
+    def _code_for(self, constants, any_size):
+        """Return the code, what passes its arguments, see `_wanted`, and what passes sizes."""
         key = any_size, *[each.key for each in constants]
         if key not in self._known:
             code, sizes = machine.load(self, constants, any_size), []
@@ -49,9 +55,7 @@ class EntryPoint(Function):
             self._known[key] = ((_CodeForAnySize if any_size else _Code)(code),
                                 self._wanted(constants),
                                 [(ctypes.c_int64 * len(sizes))(*sizes)] * any_size)
-        code, wanted, places = self._known[key]
-        return Call(entry=self, any_size=any_size, code=code, wanted=wanted, sizes=places,
-                    constants=constants)
+        return self._known[key]
 
     def _wanted(self, constants):
         """Return for each argument the function that returns what passes it; whether once."""
@@ -67,7 +71,9 @@ class EntryPoint(Function):
     def __call__(self, *args: Any) -> Any:
         """Call the machine code; `of` is faster where constants stay the same."""
         count = len(self.arguments) - len(self._arrays)
-        return self.of(*args[:count])(*args[count:])
+        code, wanted, _ = self._code_for(args[:count], False)
+        return code(*[each.place for each in args[:count]], *[
+            place(value) for (place, _), value in zip(wanted, args[count:], strict=True)])
 
 
 def entry_point(fast: bool = True, **arguments: Any) -> Callable[[Callable], EntryPoint]:
