@@ -1,9 +1,11 @@
 # Copyright 2026 The timo_sim authors
 # SPDX-License-Identifier: Apache-2.0
 
-"""Two threads that simulate side by side give the bits of one run after the other."""
+"""Two threads, of a program or of BLAS, give the bits of one."""
 
 from concurrent.futures import ThreadPoolExecutor
+import os
+import subprocess
 import sys
 from threading import Barrier
 
@@ -60,3 +62,23 @@ def test_threads_give_the_bits_of_one_run_after_the_other(names, hurried):
     with ThreadPoolExecutor(2) as pool:
         together = [*pool.map(lambda scene: numbers(scene, start.wait), both)]
     assert together == [numbers(fresh(name)) for name in names]
+
+
+# Prints the constants that machine code gets: nothing else in a step comes from BLAS.
+_CONSTANTS = """
+import hashlib, timo_sim
+for values in ({}, {'model.modes': 11, 'model.static_modes': 'both'},
+               {'model.modes': 10, 'model.formulation': 'newton'},
+               {'model.modes': 10, 'arm.length': 2.0, 'arm.profile.position': [0.0, 2.0],
+                'arm.profile.height': [0.1, 0.05]}):
+    model = timo_sim.load_scene('paper', values).build()
+    print(hashlib.sha256(model.packed.memory.tobytes() + model.linear.tobytes()).hexdigest())
+"""
+
+
+def test_bits_do_not_depend_on_the_number_of_blas_threads():
+    one, two = (subprocess.run(
+        [sys.executable, '-c', _CONSTANTS], check=True, stdout=subprocess.PIPE,
+        env={**os.environ, 'OPENBLAS_NUM_THREADS': threads}).stdout for threads in '12')
+    assert len(one.split()) == 4
+    assert one == two

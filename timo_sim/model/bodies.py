@@ -350,8 +350,11 @@ def _matrices(spans, xi):
         here = (x <= 1.0) & ~past if stop < spans[-1][1] else ~past
         # A clipped point left of the span gives 0, one right of it the integral over the span.
         values, integrals = legendre_values(np.clip(x, -1.0, 1.0), count)
-        integrate.append(0.5 * (stop - start) * integrals @ _rule(count)[2])
-        interpolate.append(here[:, np.newaxis] * values @ _rule(count)[2])
+        # Not by BLAS, whose threads would change last bits of so large a product.
+        integrals, values = np.einsum('apk,kn->apn', np.stack([
+            0.5 * (stop - start) * integrals, here[:, np.newaxis] * values]), _rule(count)[2])
+        integrate.append(integrals)
+        interpolate.append(values)
         past |= here
     matrices = np.hstack(integrate), np.hstack(interpolate)
     for matrix in matrices:
