@@ -152,7 +152,8 @@ def check_slope(scene: Any) -> None:
     # By joint as bristles: carrier x, y, rotor or shaft, shaft of an elastic gear.
     limit, speed, asymmetry = np.array(smooth)[
         [0, 0, 2 if gear else 1, 1]].T * [[1.0, 1.0, 1.0, bool(gear)], 4 * [1.0], 4 * [1.0]]
-    mobile = mobilities(scene.build(), tuple(Motion(scene.initial_motion()).q))
+    bent = Motion(scene.initial_motion()).q
+    mobile = mobilities(scene.build(), tuple(bent) if bent.any() else ())  # as steps need them
     # The steepest slope of t (1 + a t) is at most 1 + 0.52 a times the one at rest, and that of
     # 1 / (1 + x^2) is 0.65.
     slope = limit / speed * (1.0 + 0.52 * np.abs(asymmetry)) + 0.65 * bristles[
