@@ -12,7 +12,6 @@ import sys
 
 from command_line import call
 from mcap.opcode import Opcode
-from mcap.reader import make_reader
 from mcap.records import Channel as ChannelRecord, DataEnd, Message, Metadata, Schema
 from mcap.stream_reader import StreamReader
 from mcap.writer import CompressionType, IndexType, Writer as McapWriter
@@ -404,16 +403,12 @@ def test_samples_after_a_reset_are_joined_with_those_after_it():
 def test_info_describes_the_run(log):
     text = call('info', log)
     for words in ('log of /left/timo_sim', 'load.torque.harmonic.frequency = [4.0]', 'numpy ',
-                  'sim time  0 to 2 s', 'refused_commands 0', 'resets    none'):
+                  'sim time    0 to 2 s', 'refused_commands 0', 'resets      none'):
         assert words in text
     rows = {words[0]: words[1:] for words in map(str.split, text.splitlines()) if words}
     assert rows['/left/timo_sim/tip_pose'] == ['401', '200', 'Hz']
     assert rows['/left/timo_sim/modal_state'] == ['101', '50', 'Hz']
-    silent = text[text.index('without messages: '):].replace(',', '').split()[2:]
-    with open(log, 'rb') as stream:
-        summary = make_reader(stream).get_summary()
-    assert silent == sorted(channel.topic for number, channel in summary.channels.items()
-                            if number not in summary.statistics.channel_message_counts)
+    assert rows['/left/timo_sim/motor_torque'] == ['0', '-']
     assert max(map(len, text.splitlines())) < 200
 
 

@@ -5,13 +5,10 @@
 
 import json
 from pathlib import Path
-from textwrap import wrap
 
 from timo_sim.log.notes import ENVIRONMENT, plain
 from timo_sim.log.read import LogFile
 from timo_sim.topics.cdr import NANOSECONDS
-
-_IN_A_LINE = 4  # counters
 
 
 def info(file: Path | str) -> list[str]:
@@ -29,22 +26,18 @@ def info(file: Path | str) -> list[str]:
 def _about_run(log, notes):
     facts, summary, resets, changes = notes
     end = log.summary.statistics.message_end_time
-    steps = ', '.join(map(str, sorted(resets)[:8])) + (', ...' if len(resets) > 8 else '')
-    counted = [f'{name} {value}' for name, value in summary.items() if name != 'timing']
     for title, lines in {
             'changed': _changed(facts) or ['nothing: the arm of the paper at rest'],
             'made with': [', '.join(f'{name} {facts[name]}' for name in ENVIRONMENT
                                     if name in facts)],
             'sim time': [f'0 to {end / NANOSECONDS:.9g} s'],
-            'resets': [f'at steps {steps}' if resets else 'none'],
+            'resets': [f'{len(resets)}, at steps {str(resets[:8])[1:-1]}' if resets else 'none'],
             'set later': [f'at step {step}: {name} = {json.dumps(value)}'
                           for step, _, values in changes for name, value in values.items()][:20],
-            'timing': [text for name, text in summary.items() if name == 'timing'],
-            'counted': [', '.join(counted[first:first + _IN_A_LINE])
-                        for first in range(0, len(counted), _IN_A_LINE)]
+            'at the end': [f'{name} {value}' for name, value in summary.items()]
             or ['not known: the node did not write its summary']}.items():
         for line in lines:
-            yield f'  {title:<10}{line}'
+            yield f'  {title:<12}{line}'
             title = ''
 
 
@@ -57,17 +50,11 @@ def _changed(facts):
 
 
 def _about_topics(summary):
-    statistics, silent = summary.statistics, []
+    statistics = summary.statistics
     span = (statistics.message_end_time - statistics.message_start_time) / NANOSECONDS
     width = min(max([len(each.topic) for each in summary.channels.values()], default=5), 60)
     yield f'  {"topic":<{width}}  {"messages":>9}  mean rate'
     for number, channel in sorted(summary.channels.items(), key=lambda item: item[1].topic):
         count = statistics.channel_message_counts.get(number, 0)
-        if count:
-            rate = f'{(count - 1) / span:.6g} Hz' if span > 0.0 else '-'
-            yield f'  {channel.topic[:width]:<{width}}  {count:>9}  {rate}'
-        else:
-            silent.append(channel.topic)
-    if silent:
-        yield from wrap(f'without messages: {", ".join(silent)}', 99, initial_indent='  ',
-                        subsequent_indent='    ', break_on_hyphens=False)
+        rate = f'{(count - 1) / span:.6g} Hz' if span > 0.0 and count > 1 else '-'
+        yield f'  {channel.topic[:width]:<{width}}  {count:>9}  {rate}'
