@@ -63,7 +63,7 @@ def calls(folder):
             yield function, {'xi': 0.5}, anywhere
     yield run.save, {'path': folder / 'run.mcap'}, {'path': "'x'"}
     yield run.plot, {'deflection_scale': 1.0}, {'deflection_scale': number}
-    yield run.view, {'web': False, 'deflection_scale': 1.0}, {'deflection_scale': number}
+    yield run.view, {'deflection_scale': 1.0}, {'deflection_scale': number}
     yield timo_sim.open_log, {'path': run.save(folder / 'log.mcap'), 'node': None}, {
         'node': "None ''"}
 

@@ -140,7 +140,6 @@ class Inlet:
         self.logger = node.get_logger().get_child(command.name.removeprefix('~/'))
         self.subscription = node.create_subscription(
             self.type, command.name, lambda data: None, DEPTH, raw=True)
-        self.publishers = self.subscription.get_publisher_count
         self.channel = Channel(self.subscription.topic_name, command.type_name, command.name)
         self.pending = None
         self.refused = self.mismatched = self.foreign = 0
@@ -174,12 +173,6 @@ class Inlet:
         self.pending = row, data
         return True
 
-    def poll(self, answered: int | None) -> bool:
-        """Receive what has arrived, see `Commands.poll`; return whether a command is in it."""
-        # Of all, since each may be refused.
-        return any([self.receive(data, answered)
-                    for data in take(self.subscription, self.type)])
-
 
 class Commands:
     """
@@ -204,12 +197,13 @@ class Commands:
 
     def expected(self) -> bool:
         """Return whether anybody publishes commands."""
-        return any(inlet.publishers() for inlet in self.inlets)
+        return any(inlet.subscription.get_publisher_count() for inlet in self.inlets)
 
     def poll(self, answered: int | None) -> None:
         """Receive what has arrived; drop what has another stamp than `answered` [ns], if any."""
         for inlet in self.inlets:
-            self.received |= inlet.poll(answered)
+            for data in take(inlet.subscription, inlet.type):
+                self.received |= inlet.receive(data, answered)
 
     def apply(self, step: int, timeout_steps: float,
               commanded: np.ndarray) -> list[tuple[int, bytes]]:

@@ -19,7 +19,7 @@ import numpy as np
 from timo_sim.extras import optional
 from timo_sim.model.formulation import Formulation, PointsOfArm
 from timo_sim.model.layout import LOADS, Motion, MotionFields, TORQUE
-from timo_sim.scene.parameters import checked, DEFAULTS, FLAG, PATH, warn
+from timo_sim.scene.parameters import checked, DEFAULTS, PATH, warn
 from timo_sim.scene.scene import Scene
 from timo_sim.simulation.loads import pieces
 from timo_sim.simulation.simulator import Simulator
@@ -268,7 +268,6 @@ class Run(MotionFields, PointsOfArm):
             from timo_sim.view.plot import plot
         return plot(self, deflection_scale)
 
-    @checked(web=FLAG)
     def view(self, deflection_scale: float = 1.0) -> None:
         """Show the run in rerun until its window is closed; needs rerun-sdk."""
         with optional():
