@@ -5,12 +5,10 @@
 
 from __future__ import annotations
 
-from collections import Counter
 import hashlib
 import math
 from pathlib import Path
 import platform
-import re
 from tempfile import TemporaryDirectory
 from typing import NamedTuple
 from uuid import UUID
@@ -30,11 +28,6 @@ _NAME = 'arm'  # first part of all names in C, and the model identifier
 _PLATFORMS = {2: 'linux64', 3: 'x86_64-linux'}
 _MEANING = ('Planar mobile manipulator with a flexible arm, exported by timo_sim {}. Its internal '
             'time step is {} s; inputs are held during a communication step.')
-# Exponents of the SI base units.
-_UNITS = {'1': {}, 'm': {'m': 1}, 's': {'s': 1}, 'kg': {'kg': 1}, 'A': {'A': 1},
-          'rad': {'rad': 1}, 'Hz': {'s': -1}, 'N': {'kg': 1, 'm': 1, 's': -2},
-          'J': {'kg': 1, 'm': 2, 's': -2}, 'W': {'kg': 1, 'm': 2, 's': -3},
-          'V': {'kg': 1, 'm': 2, 's': -3, 'A': -1}}
 
 
 class _Variable(NamedTuple):
@@ -54,8 +47,7 @@ def export_fmu(scene: SceneLike, path: Path | str, version: int = 3, estimate: b
     Write a scene as an FMU for co-simulation on Linux x86-64, of FMI 3.0 or 2.0.
 
     It holds the object file of `export_c`, linked with the functions of FMI by the C compiler
-    `cc`, and the sources of these; motions are as exact as there. Equal scenes exported under
-    equal names give equal files.
+    `cc`; motions are as exact as there. Equal scenes exported under equal names give equal files.
 
     Parameters
     ----------
@@ -118,10 +110,7 @@ def export_fmu(scene: SceneLike, path: Path | str, version: int = 3, estimate: b
         binary = link(folder, [f'fmi{version}.c', f'{_NAME}.o'], 'fmi*')
     contents = {
         'modelDescription.xml': describe(token),
-        f'binaries/{_PLATFORMS[version]}/{_NAME}.so': binary,
-        **{f'sources/{name}': content for name, content in files.items()}}
-    if version == 3:
-        contents['sources/buildDescription.xml'] = _build_description()
+        f'binaries/{_PLATFORMS[version]}/{_NAME}.so': binary}
     path.parent.mkdir(parents=True, exist_ok=True)
     with whole_file(path) as part, ZipFile(part, 'w', ZIP_DEFLATED) as archive:
         for name, content in contents.items():
@@ -153,19 +142,6 @@ def _variables(interface: Interface) -> list[_Variable]:
                         each.start) for each in interface.parameters)]
 
 
-def _base_unit(unit: str) -> dict[str, str] | None:
-    """Return the exponents of the SI base units in a unit; None if they are no integers."""
-    powers = Counter()
-    for sign, part in zip((1, -1), unit.split('/')):
-        for factor in part.split():
-            found = re.fullmatch(r'([A-Za-z]+|1)(\d?)', factor)
-            if not found or found[1] not in _UNITS:
-                return None
-            for base, power in _UNITS[found[1]].items():
-                powers[base] += sign * power * int(found[2] or 1)
-    return {base: str(power) for base, power in powers.items() if power}
-
-
 def _add(parent, tag, **attributes):
     return ElementTree.SubElement(parent, tag, {
         name: str(value).lower() if isinstance(value, bool) else str(value)
@@ -182,9 +158,7 @@ def _root(version, name, step, **token):
 def _add_common_parts(root, step, variables):
     units = _add(root, 'UnitDefinitions')
     for name in dict.fromkeys(each.unit for each in variables if each.unit):
-        unit, base = _add(units, 'Unit', name=name), _base_unit(name)
-        if base is not None:
-            _add(unit, 'BaseUnit', **base)
+        _add(units, 'Unit', name=name)
     _add(_add(root, 'LogCategories'), 'Category', name='logStatusError')
     _add(root, 'DefaultExperiment', startTime=0.0, stepSize=step)
 
@@ -231,12 +205,9 @@ def _description_3(name, token, step, variables):
 
 def _description_2(name, token, step, variables):
     root = _root('2.0', name, step, guid=token)
-    model = _add(root, 'CoSimulation', modelIdentifier=_NAME, canGetAndSetFMUstate=True,
-                 canSerializeFMUstate=True, canHandleVariableCommunicationStepSize=False,
-                 canNotUseMemoryManagementFunctions=True)
-    files = _add(model, 'SourceFiles')
-    for file in ('fmi2.c', f'{_NAME}.o'):
-        _add(files, 'File', name=file)
+    _add(root, 'CoSimulation', modelIdentifier=_NAME, canGetAndSetFMUstate=True,
+         canSerializeFMUstate=True, canHandleVariableCommunicationStepSize=False,
+         canNotUseMemoryManagementFunctions=True)
     _add_common_parts(root, step, variables)
     group = _add(root, 'ModelVariables')
     for number, each in enumerate(variables):
@@ -248,13 +219,4 @@ def _description_2(name, token, step, variables):
         for number, each in enumerate(variables):
             if each.causality == 'output':
                 _add(part, 'Unknown', index=number + 1, dependencies='')
-    return _text(root)
-
-
-def _build_description():
-    root = ElementTree.Element('fmiBuildDescription', fmiVersion='3.0')
-    build = _add(root, 'BuildConfiguration', modelIdentifier=_NAME, platform=_PLATFORMS[3])
-    sources = _add(build, 'SourceFileSet', language='C11')
-    for file in ('fmi3.c', f'{_NAME}.o'):
-        _add(sources, 'SourceFile', name=file)
     return _text(root)
