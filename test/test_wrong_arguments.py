@@ -44,7 +44,6 @@ def calls(folder):
         'source': '{}', 'overrides': 'None {}'}
     yield scene.vary, {'overrides': {}}, {'overrides': '{}'}
     yield scene.build, {'tip': None, 'first': None}, {'tip': none, 'first': none}
-    yield scene.at, {'run': run, 't': 0.01}, {'t': '0'}
     yield scene.initial_motion, {'model': None}, {'model': none}
     yield scene.modal, {'name': 'initial.deflection'}, {}
     yield timo_sim.project_on_modes, {

@@ -200,13 +200,6 @@ def test_of_two_samples_at_the_step_of_a_reset_the_second_is_from_after_it():
             for model, part in found] == [(2.0, 0, 2), (5.0, 2, 4), (2.0, 4, 6)]
 
 
-def test_a_state_after_a_change_is_not_taken_for_one_before():
-    run = timo_sim.simulate({**FREE, **PICKED}, 0.6, sample_every=100, estimate=False)
-    assert run.scene.at(run, 0.3).initial_motion() == pytest.approx(run.values[3])
-    with pytest.raises(timo_sim.ParameterError, match='it changes at 0.3 s'):
-        run.scene.at(run, 0.4)
-
-
 @pytest.mark.parametrize('values', [
     {'carrier.coulomb_friction': 3.0, 'motor.coulomb_friction': 1.0},
     {'model.axial_modes': 1}, {'motor.shaft': 'locked'}, {'model.formulation': 'newton'},

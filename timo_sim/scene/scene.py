@@ -32,7 +32,7 @@ from timo_sim.scene.files import flatten, read_parameter_file
 from timo_sim.scene.loads import Load, load_of, payloads_of, SHAFT_DRIVE
 from timo_sim.scene.parameters import (
     changed, check, checked, complete, DELAYS, driven_along, FUNCTION, gives_arm, MAPPING, MODAL,
-    NUMBER, ParameterError, PARAMETERS, POSITIONS, SCENE, short, VELOCITIES, warn, whole_ratio)
+    ParameterError, PARAMETERS, POSITIONS, SCENE, short, VELOCITIES, warn, whole_ratio)
 from timo_sim.scene.plausible import find_implausible, find_outdated
 from timo_sim.scene.static_shapes import (
     fastest_shape, needed_static, SLOWED, STATIC, with_shapes)
@@ -233,42 +233,6 @@ class Scene:
         """Return the scene with its static shapes named, so that `vary` keeps them."""
         names = {loads: name for name, loads in STATIC.items()}
         return self.vary({'model.static_modes': names[self.static]})
-
-    @checked(run=(lambda run: hasattr(run, 'payloads'), 'a Run'), t=NUMBER)
-    def at(self, run: Any, t: float) -> Scene:
-        """
-        Return the scene that begins with the state of a run of the same bodies at a sample, t [s].
-
-        The scene's own loads start again from t = 0, and joints that move have slid before. Raises
-        ParameterError if the run has no sample then or other modes, or the scene has a driven
-        shaft.
-
-        >>> import timo_sim
-        >>> scene = timo_sim.load_scene('paper')
-        >>> run = timo_sim.simulate(scene, 1.0)
-        >>> further = timo_sim.simulate(scene.at(run, 1.0), 1.0)
-        """
-        sample = int(np.argmin(np.abs(run.t - t)))
-        if not abs(run.t[sample] - t) <= 1e-9 * max(1.0, abs(t)):
-            raise ParameterError(f't = {t:g} s must be the time of a sample, the nearest is '
-                                 f'{run.t[sample]:.12g} s')
-        if run.q.shape[1] != self.modal_count:
-            raise ParameterError(f'the run must have {self.modal_count} modal coordinates, as '
-                                 f'many as the scene, got {run.q.shape[1]}')
-        if self.values['motor.shaft'] == 'driven':
-            raise ParameterError('motor.shaft = driven starts at the beginning of motor.drive, '
-                                 'not at the state of a run')
-        before = round(run.t[sample] / run.scene.step)
-        changed = [step for step, *_ in run.payloads if step < before]
-        if changed:
-            raise ParameterError(
-                f't = {t:g} s must not be after a change of the load at the tip, since the modes '
-                'are those of the first end effector; it changes at '
-                f'{changed[0] * run.scene.step:g} s')
-        position, velocity = run.values[sample].reshape(2, -1).tolist()
-        return self.vary({
-            **dict(zip(POSITIONS, position)), **dict(zip(VELOCITIES, velocity)),
-            **dict(zip(MODAL, (position[3:], velocity[3:]))), 'initial.equilibrium': False})
 
     def __getstate__(self):
         # The formulation is left out: the other process builds it again.
