@@ -37,9 +37,9 @@ sim: $(VENV)/.run ## run the node on the paper's scene for 10 s, log to run/pape
 		-p duration:=10.0 -p record_file:=$(RUN) 2>&1 | sed 's/^\[[A-Z]*\] \[[0-9.]*\] //'
 	@echo "next: 'make view' shows the run; README.md shows how to command the node"
 
-view: $(VENV)/.gallery ## show the run of `make sim` in rerun, with VIEW=--web in a browser
+view: $(VENV)/.gallery ## show the run of `make sim` in rerun
 	@test -n "$(VIEW)$$DISPLAY$$WAYLAND_DISPLAY" -o "$$(uname)" != Linux || { echo "there is no screen \
-	(DISPLAY is not set): make view VIEW=--web, or VIEW='--png run.png'" >&2; exit 1; }
+	(DISPLAY is not set): make view VIEW='--png run.png'" >&2; exit 1; }
 	@$(BIN)/timo_sim view $(RUN) $(VIEW)
 
 # The processes of pytest fill the cores; threads of BLAS would only wait for each other.
