@@ -138,6 +138,26 @@ def test_strain_within_a_cantilever_is_that_at_the_root_times_its_share(formulat
     assert np.array(within) / root == pytest.approx(shares, abs=1e-4)
 
 
+@pytest.mark.parametrize('values', [
+    {'motor.gear.stiffness': 900.0, 'motor.rotor.inertia': 0.5, 'motor.coulomb_friction': 0.5,
+     'initial.modal_rates': [2.0, 0.5, 0.1, 0.3], 'end_effector.offset': 0.2},
+    {'motor.spring.stiffness': 30.0, 'hub.radius': 0.2, 'motor.shaft': 'locked',
+     'initial.shaft_velocity': 0.0},
+    {'carrier.held': 'y', 'model.axial_modes': 1, 'initial.modal_rates': [2.0, 0.5, 0.1, 0.01]},
+    {'model.formulation': 'newton', 'carrier.held': 'x', 'hub.radius': 0.2}], ids=str)
+def test_a_gauge_next_to_the_root_reads_what_one_at_the_root_does(values):
+    """The balance of what is beyond the gauge is that of shaft and carrier."""
+    scene = timo_sim.load_scene({}, {
+        **MOVING, 'gravity': [1.0, -9.0], 'arm.damping_ratio': [0.02], 'push.position': 0.7,
+        'load.push_y.piecewise': {'time': [0.0], 'value': [1.0]}, **values})
+    strains = []
+    for xi in (0.0, 1e-7):
+        simulator = Simulator(scene.vary({'sensor.root_strain.position': xi}))
+        simulator.advance(50)
+        strains.append(simulator.sensors.root_strain)
+    assert strains[1] == pytest.approx(strains[0], rel=1e-6) and abs(strains[0]) > 1e-5
+
+
 @pytest.mark.parametrize('formulation', FORMULATIONS)
 def test_root_strain_follows_from_the_moment_on_the_shaft(formulation):
     """The moment is J_m theta'' minus torque and friction; differences of fourth order."""
