@@ -83,8 +83,9 @@ EFFECTS = {
                      'motor.drive.acceleration': [0.0, 0.0]},
     'push': {'push.position': 0.6, 'load.push_y.piecewise.time': [0.0],
              'load.push_y.piecewise.value': [2.0]},
-    "sensors' noise": {f'sensor.{name}.noise': 1e-6 for name in (
-        'encoder', 'root_strain', 'gyro', 'tip_acceleration')},
+    "sensors' noise": {'sensor.root_strain.position': 0.3, 'sensor.tip_imu.position': 0.5, **{
+        f'sensor.{name}.noise': 1e-6 for name in (
+            'encoder', 'root_strain', 'gyro', 'tip_acceleration')}},
     'limits and rates': {'motor.torque_limit': 0.4, 'motor.torque_rate_limit': 20.0,
                          'carrier.force_limit': 3.0, 'carrier.force_rate_limit': 500.0},
     'newton': {'model.formulation': 'newton'},
