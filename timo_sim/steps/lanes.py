@@ -56,7 +56,7 @@ _TABLES, _MATRICES, _BRISTLES, _LANE, _PLAN = range(5)  # parts of the constants
 
 
 class LaneSteps:
-    """""
+    """
     Equal steps of n models of one size, in groups of WIDTH.
 
     The models are of one class, with tables of the same shapes and the same free coordinates. A
