@@ -33,6 +33,7 @@ from timo_sim.scene.numbers import (
 from timo_sim.scene.parameters import (
     did_you_mean, ModelWarning, OF_MATERIAL, ParameterError, short, StepError)
 from timo_sim.scene.scene import Scene
+from timo_sim.simulation.loads import limits_of
 
 # What a quantity of the record is multiplied by, added to and late by. `lag` is the time constant
 # of a sensor, or of what puts an input out, of first order, whose values up to `dead_zone` are 0.
@@ -358,6 +359,7 @@ class Problem:
         self._sensors = {f'{name}.{kind}' for name in record.outputs for kind in SENSOR}
         self.free = free_parameters(names, bounds, scene, record)
         self._shown: dict[tuple[Any, ...], tuple[float, dict[str, np.ndarray]]] = {}
+        self._loads: tuple[Any, Any] = (None, None)  # the last, and what they depend on
         still = not (scene.load or scene.initial_motion()[3:].any()
                      or scene.build().gravity.any() or scene.manipulator.spring)
         if still and not record.inputs and not any(name.startswith(INITIAL) for name in names):
@@ -392,11 +394,19 @@ class Problem:
         if time.monotonic() > self.deadline:
             raise TimeIsUp('its time was up')
         scene = scene or self.scene_of(values)
-        scene = replace(scene, load=loads_of(self.record, scene, values))
+        scene = replace(scene, load=self._loads_for(scene, values))
         duration = min(end, self.record.duration) + self._early(values)
         with warnings.catch_warnings():
             warnings.simplefilter('ignore', ModelWarning)
             return run_scene(scene, max(1, math.ceil(duration / scene.step - _AT_STEP)))
+
+    def _loads_for(self, scene, values):
+        """Return `loads_of` values; most of these do not change them."""
+        key = (scene.step, scene.load, limits_of(scene.values), motor_constants(scene.values),
+               [sensor_of(values, name) for name in self.record.inputs])
+        if self._loads[0] != key:
+            self._loads = key, loads_of(self.record, scene, values)
+        return self._loads[1]
 
     def _early(self, values):
         """Return how long after the record a run must go on, since outputs show it early [s]."""
