@@ -110,10 +110,10 @@ class Packed:
         self.sizes, self.offsets, self.length, self._layout, places, self.key = layout
         self.groups = len(values[0]) // lanes if lanes else 1
         memory = np.zeros(self.groups * self.length + _CACHE_LINE, dtype=np.uint8)
-        begin = -ctypes.addressof((ctypes.c_char * 0).from_buffer(memory)) % _CACHE_LINE
+        begin = -ctypes.addressof((ctypes.c_char * 0).from_buffer(memory.data)) % _CACHE_LINE
         self.memory = memory[begin:begin + self.groups * self.length]
         if not lanes:  # what is padded stays zero
-            self.memory.view(float)[places] = np.concatenate([each.ravel() for each in values])
+            self.memory.view(float)[places] = np.concatenate(values, axis=None)
         for field, value in zip(described, values):
             if lanes:
                 view, vectors = self._array(field.name), _vectors(field, lanes)

@@ -34,6 +34,7 @@ class Points(NamedTuple):
     integral: np.ndarray    # from nodal values to their integral from 0 [m], (n_g, p)
     deflection: np.ndarray  # W_n, (N, p)
     rotation: np.ndarray    # Phi_n, (N, p)
+    displacement: np.ndarray  # along the arm, by the stretch of axial modes, (N, p)
 
 
 _SLOW = 0.1  # least damping ratio of a mode that is slowed down
@@ -128,7 +129,7 @@ class Formulation(ABC):
                 len(self.modes) - axial, None)), fastest):
             self.slower[part] = np.maximum(1.0, self.modes.omega[part] / limit)
         arm = len(self.modes) - bool(self.gear)
-        self.damping = np.broadcast_to(np.asarray(damping, dtype=float), (arm,))
+        self.damping = np.full(arm, damping, dtype=float)
         self.size = 2 * (3 + len(self.modes))
         self.rotor = np.zeros(self.size // 2)
         self.rotor[2] = 1.0
@@ -302,9 +303,7 @@ class Formulation(ABC):
     @cached_property
     def tip_travel(self) -> np.ndarray:
         """Travel of the straight arm's tip per x_c, y_c, theta [m/rad] and q_n, (3 + N,)."""
-        travel = np.abs(self.points.deflection[:, -1])
-        if self.axial:
-            travel += np.abs(self.modes.displacement(self.points.xi[-1:])[0])
+        travel = np.abs(self.points.deflection[:, -1]) + np.abs(self.points.displacement[:, -1])
         return np.concatenate([[1.0, 1.0, self.points.lever[-1]], travel])
 
     @cached_property
@@ -330,9 +329,8 @@ class Formulation(ABC):
     @cached_property
     def section_turn_bound(self) -> np.ndarray:
         """Largest turn, shear and stretch of a section, or turn of the rotor, per q_n, (N,)."""
-        xi, modes = self.points.xi, self.modes
-        found = np.max(np.abs(modes.rotation(xi)) + np.abs(modes.shear(xi))
-                       + np.abs(modes.stretch(xi)), axis=0)
+        _, rotation, _, shear, stretch, _ = self.modes.fields(self.points.xi)
+        found = np.max(np.abs(rotation) + np.abs(shear) + np.abs(stretch), axis=0)
         return np.maximum(found, self.rotor[3:]) if self.gear else found
 
     def tip(self, motion: np.ndarray) -> np.ndarray:
@@ -401,8 +399,8 @@ class Formulation(ABC):
         becomes exact; frequencies of the straight arm are then those of the modes.
         """
         xi = np.asarray(xi, dtype=float)
-        integral, (deflection, rotation, *_) = self.quadrature.integrate_to(xi), (
-            self.modes.fields(xi))
+        integral, (deflection, rotation, *_, displacement) = (
+            self.quadrature.integrate_to(xi), self.modes.fields(xi))
         slope, share = self._slopes_at_nodes
         # The exact integrals of the slopes.
         missing = np.concatenate([xi[:, np.newaxis], deflection], axis=1) - integral @ slope
@@ -410,7 +408,8 @@ class Formulation(ABC):
         integral = (integral + missing @ share).T
         if self.manipulator.off_tip:  # one more node, for what is beyond the tip
             integral = np.vstack([integral, np.zeros_like(xi)])
-        return Points(xi, self.manipulator.hub_radius + xi, integral, deflection.T, rotation.T)
+        return Points(xi, self.manipulator.hub_radius + xi, integral, deflection.T, rotation.T,
+                      displacement.T)
 
     @cached_property
     def _slopes_at_nodes(self):
@@ -418,9 +417,7 @@ class Formulation(ABC):
         _, rotation, _, shear, *_ = self.at_nodes
         slope = np.concatenate([np.ones((len(rotation), 1)), rotation + shear], axis=1)
         weights = np.sqrt(self.quadrature.weights)
-        u, s, rows = np.linalg.svd(weights[:, np.newaxis] * slope, full_matrices=False)
-        inverse = np.divide(1.0, s, where=s > 1e-15 * s[0], out=np.zeros_like(s))
-        return slope, rows.T @ (inverse[:, np.newaxis] * u.T) * weights
+        return slope, np.linalg.lstsq(weights[:, np.newaxis] * slope, np.diag(weights), 1e-15)[0]
 
     def _centres_of(self, points):
         # Centres of mass of the bodies at points: that at the tip may be beyond it.
@@ -444,9 +441,8 @@ class Formulation(ABC):
         mass, inertia = self.manipulator.inertia(fine)
         xi, moved = fine.points, self.manipulator.of_masses
         bent, turned = (np.zeros_like(xi) + field(xi) for field in (deflection, rotation))
-        own = self.modes.rotation(xi)
-        return (mass * moved(bent, turned) @ moved(self.modes.deflection(xi), own)
-                + inertia * turned @ own)
+        across, own, *_ = self.modes.fields(xi)
+        return mass * moved(bent, turned) @ moved(across, own) + inertia * turned @ own
 
     @abstractmethod
     def centre_line(self, q: np.ndarray, points: Points) -> np.ndarray:

@@ -17,7 +17,7 @@ from typing import NamedTuple
 import numpy as np
 from numpy.typing import ArrayLike
 
-from timo_sim.compiled.constants import pack
+from timo_sim.compiled.constants import pack, Packed
 from timo_sim.compiled.entry import entry_point
 from timo_sim.compiled.functions import Array, Constants, magnitude, square_root, strict
 from timo_sim.model.bodies import Constraints, Manipulator, Quadrature
@@ -130,7 +130,7 @@ class UniformModes(Modes):
 
 
 @functools.lru_cache(maxsize=16)
-def _found(manipulator):
+def _found(manipulator: Manipulator) -> tuple[Packed, list[tuple[np.ndarray, np.ndarray]]]:
     # Returns the packed UniformArm, and a list of what is known of its lowest modes: frequencies
     # and shapes. A mode does not depend on how many are asked for, so each is found once, for a
     # run, the check of its scene and its finer run.
@@ -523,7 +523,7 @@ class StaticModes(JoinedModes):
         stiffness = np.concatenate([
             none + section.bending_stiffness, none + section.shear_stiffness, arm.root])
         strains = np.concatenate([moment, force, clamped]) / stiffness[:, np.newaxis]
-        own = np.concatenate([modes.curvature(rule.nodes), modes.shear(rule.nodes),
+        own = np.concatenate([*modes.fields(rule.nodes)[2:4],
                               np.repeat(modes.rotation(root), len(arm.root), axis=0)])
         stiffness = (stiffness * np.concatenate([
             rule.weights, rule.weights, np.ones(len(arm.root))]))[:, np.newaxis]
