@@ -12,7 +12,7 @@ from scipy.signal import lfilter, lsim
 
 from benchmark.accuracy import fits
 import timo_sim
-from timo_sim.fitting.objective import first_part
+from timo_sim.fitting.objective import times_of_motion
 from timo_sim.fitting.record import Channel, OUTPUTS
 from timo_sim.fitting.problem import covariance, loads_of, Problem, whiteness
 from timo_sim.model.layout import AFTER, TORQUE
@@ -275,7 +275,7 @@ def test_a_record_that_rests_at_first_is_fitted_where_it_moves():
     record = noisy(predicted({**ARM, **MOTOR}, {'voltage': (t, volts)}, ['shaft'], t=t),
                    {'shaft': 1e-3})
     problem = Problem(timo_sim.load_scene({}, {**ARM, **MOTOR}), record, ['arm.length'], {}, t[-1])
-    assert 4.1 < first_part(problem) < 4.9
+    assert 4.1 < times_of_motion(problem, 0.25)[0] < 4.9
 
 
 def test_what_is_held_out_is_not_fitted():

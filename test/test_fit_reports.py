@@ -12,9 +12,11 @@ import pytest
 from scipy.optimize import brentq, minimize_scalar
 
 import timo_sim
-from timo_sim.fitting.look import look
+from timo_sim.fitting.look import look, turned
+from timo_sim.fitting.objective import Objective
 from timo_sim.fitting.problem import Problem
 from timo_sim.fitting.record import Channel
+from timo_sim.fitting.suspects import moves_one_way
 
 T = 0.002 * np.arange(1001)
 VOLTAGE = 2.0 * np.sign(np.sin(9.0 * T)) + np.sin(2.0 * np.pi * (0.5 + 2.0 * T) * T)
@@ -160,6 +162,38 @@ def test_an_angle_that_wraps_is_told_before_the_search():
     assert any(line.startswith('shaft jumps by 6.2') for line in page)
     assert not any(' jumps ' in line for line in fit(record(), ['motor.viscous_friction'],
                                                      quick=True).look)
+
+
+@pytest.mark.parametrize('signs, wrong', [
+    ((1.0, 1.0), []), ((1.0, -1.0), ['root_strain']), ((-1.0, -1.0), [])])
+def test_a_gauge_that_moves_against_the_run_as_nothing_else_does_has_the_wrong_sign(signs, wrong):
+    run = timo_sim.simulate(ARM.vary({
+        'load.torque.piecewise.time': T, 'load.torque.piecewise.value': GAIN * VOLTAGE}), T[-1],
+        estimate=False)
+    measured = timo_sim.Record.of({'voltage': (T, VOLTAGE)}, {
+        'shaft': (T, signs[0] * run.shaft), 'root_strain': (T, signs[1] * run.root_strain())})
+    guess = ARM.vary({'arm.young_modulus': 3e11})
+    assert turned(Problem(guess, measured, ['arm.length'], {}, T[-1]), {}) == wrong
+
+
+def test_what_pushes_to_one_side_is_not_chosen_where_the_arm_is_turned_to_one_side():
+    t = np.linspace(0.0, 3.0, 301)
+    one, both = (moves_one_way(Problem(ARM, timo_sim.Record.of(
+        {'voltage': (t, way)}, {'shaft': (t, way)}), ['arm.length'], {}, 3.0))
+        for way in (np.clip(t - 1.0, 0.0, 1.0), np.sin(t)))
+    assert one and not both
+
+
+@pytest.mark.parametrize('made, own', [({}, True), ({'motor.coulomb_friction': 0.15}, False)])
+def test_outputs_weigh_by_their_noise_and_where_the_model_is_wrong_alike(made, own):
+    measured = record(made)
+    objective = Objective([Problem(ARM, measured, FREE, {}, T[-1])])
+    objective.estimate_deviations(objective.start)
+    found, = objective.deviations
+    parts = [found[name] / (NOISE[name] if own else np.std(each.values))
+             for name, each in measured.outputs.items()]
+    assert parts[0] == pytest.approx(parts[1], rel=0.1)
+    assert not own or parts == pytest.approx([1.0, 1.0], rel=0.1)
 
 
 @pytest.mark.parametrize('made, kept', [

@@ -11,11 +11,12 @@ from typing import Any, NamedTuple
 
 import numpy as np
 
+from timo_sim.fitting.look import GAUGES
 from timo_sim.fitting.objective import Objective
-from timo_sim.fitting.problem import split_guess, TimeIsUp
+from timo_sim.fitting.problem import split_guess, TimeIsUp, vary
 from timo_sim.fitting.record import DRIVE, Record
 from timo_sim.fitting.search import INTERRUPTED, Search
-from timo_sim.fitting.suspects import BETTER, predict, suspects
+from timo_sim.fitting.suspects import BETTER, MOVING, predict, suspects
 from timo_sim.scene.bodies import motor_constants
 from timo_sim.scene.numbers import overrides_of
 from timo_sim.scene.parameters import ParameterError
@@ -24,7 +25,6 @@ from timo_sim.scene.scene import Scene
 _SUSPECTS = 6  # that are tried at a time
 _DRY, _NEAR_REST = 0.05, 0.05  # friction and its speed, of the largest torque and a usual speed
 _BODIES = {'motor': ('shaft', 'torque', 'voltage'), 'carrier': ('carrier_x', 'force_x', '')}
-_GAUGES = 'root_strain', 'tip_acceleration'  # whose gains are known roughly
 
 
 class Choice(NamedTuple):
@@ -62,8 +62,13 @@ def plain(scene: Scene, record: Record) -> tuple[Scene, list[str]]:
         if body == 'motor':
             free += ['motor.shaft_inertia', 'initial.shaft', *(
                 ['motor.dc.torque_constant~20%'] if 'voltage' in record.inputs else [])]
-    free += [f'{name}.{kind}' for name in record.outputs for kind in ('gain', 'bias')
-             if name in _GAUGES]
+    seen = [name for name in record.outputs if name in GAUGES]
+    free += [f'{name}.{kind}' for name in seen for kind in ('gain', 'bias')]
+    # Every rig has delays. They bend no run, and without them all else stands for them.
+    late = [name for name in record.inputs if name != DRIVE]
+    alone = bool(late) and len(seen) == len(record.outputs)  # one delay is that of the input
+    free += [f'{name}.delay' for name in late + seen[alone:]]
+    free += [*MOVING] if values['model.modes'] else []
     return scene.vary(changes), free
 
 
@@ -84,7 +89,8 @@ def choose(scene: Scene, free: list[str], objective_of: Callable[[Scene, list[st
             search.set_deadline(deadline)
             x = search.settle(starts, anew=not line)
             values = {free.name: free.value(at) for free, at in zip(objective.free, x)}
-            error, _ = predict(objective, x)
+            errors, _ = predict(objective, x)
+            error = math.exp(np.mean(errors))
             ladder = [*best.ladder, f'{line or "the plain arm"}: {error:.2%}']
             say(f'error of the end of what is fitted, which was held out, {ladder[-1]}')
             best = Choice(
@@ -94,17 +100,18 @@ def choose(scene: Scene, free: list[str], objective_of: Callable[[Scene, list[st
             keep(best.scene, str(values))
             own = {**best.scene.values, **values}
             found = [each for each in suspects(  # an effect may vanish as it is fitted
-                objective, x, *search.weighted(x), _SUSPECTS, error)
+                objective, x, *search.weighted(x), _SUSPECTS, errors)
                 if each.ratio < math.inf and each.effect.changes(own, *each.sizes)]
             tried = [f'    with {each.name}: {each.ratio * error:.2%}' for each in found]
             say('\n'.join(['tried', *tried]))
             best = best._replace(ladder=[*ladder, *tried])
             first = min(found, key=lambda each: each.ratio, default=None)
-            if first is None or not first.ratio < BETTER:
+            # What is further off than the mean predicts nothing, however much better it is.
+            if first is None or not first.ratio < min(BETTER, 1.0 / error):
                 return best
             line = first.name
             changes: dict[str, Any] = first.effect.changes(own, *first.sizes)
-            scene = best.scene.vary(overrides_of({
+            scene = vary(best.scene, overrides_of({
                 name: value for name, value in changes.items()
                 if name.partition('[')[0] in own}, best.scene))
             moved = 'motor.rotor.inertia' in changes

@@ -19,6 +19,8 @@ from timo_sim.scene.parameters import ParameterError
 from timo_sim.scene.scene import Scene
 from timo_sim.topics.commands import JOINTS
 
+GAUGES = 'root_strain', 'tip_acceleration'  # whose gains are known roughly
+_SURE = 0.5  # correlation with the run of the first guess that tells a sign
 _FIRST, _STILL = 15, 5.0  # samples at the beginning; deviations of noise up to which one is still
 _ELSEWHERE, _FAST = 0.02, 0.3  # of range and usual speed: from there on it begins otherwise
 _GAP = 1.8  # periods from one sample to the next that are a gap
@@ -91,6 +93,16 @@ def look(problem: Problem, values: Mapping[str, float]) -> Iterator[str]:
     yield from _resonances(record, problem.scene_of(values))
 
 
+def turned(problem: Problem, values: Mapping[str, float]) -> list[str]:
+    """Return gauges that move against the run with values by name, where all else goes with it."""
+    shown, seen = (each(problem.until) for each in (
+        lambda end: problem.predicted(values, end), problem.measurements))
+    like = {name: float(np.corrcoef(seen[name], shown[name])[0, 1]) for name in seen
+            if np.ptp(seen[name]) and np.ptp(shown[name])}
+    sure = [like[name] > _SURE for name in like if name not in GAUGES]
+    return [name for name in GAUGES if like.get(name, 0.0) < -_SURE and sure and all(sure)]
+
+
 def _of_channel(name, channel, start):
     """Yield what an output shows, or an input, whose start is None."""
     t, values, unit, apart = channel.t, channel.values, unit_of(name), np.diff(channel.t)
@@ -133,7 +145,7 @@ def _beside_run(name, t, measured, shown):
     whole = np.fft.irfft(np.fft.rfft(a, 2 * len(a)) * np.conj(np.fft.rfft(b, 2 * len(a))))
     late = int(np.argmax(whole[:len(a) // 10]))
     best = whole[late] / np.sqrt((a @ a) * (b @ b))
-    if correlation < -0.5:
+    if correlation < -_SURE:
         text += ': if its sign is wrong, or that of the input, set scale: -1 in the mapping'
     elif late >= _LATE and 1.0 - best < _BETTER * (1.0 - correlation):
         text += (f', and of {best:.2f} with a delay of {late * (grid[1] - grid[0]):.3g} s: free '

@@ -13,6 +13,7 @@ from typing import Any
 
 import numpy as np
 
+from timo_sim.fitting.look import noise_of
 from timo_sim.fitting.problem import alike, Free, Problem, WHITE, whiteness
 from timo_sim.model.differences import differences
 from timo_sim.scene.parameters import ParameterError
@@ -24,6 +25,7 @@ CENTRAL = 3e-4  # step of differences in coordinates of the fit, for intervals
 _FIRST_PART, _COARSE = 0.25, 200  # this motion is seen at so many points
 _MIN_DEVIATION = 1e-5  # least standard deviation, relative to the first
 _FIRST_DEVIATION = 0.1  # first standard deviation, relative to that of an output's values
+MANY = 5.0  # ratio of residuals to noise, above which the model is wrong
 _MAD = 1.4826  # standard deviations in a median absolute deviation
 # Residual of a run that fails, in standard deviations of the sensor, and in ranges of what it
 # measured, whichever is more: searches must not prefer it to a run that is far off.
@@ -34,14 +36,12 @@ class Objective:
     """
     The residuals of several problems by x, the coordinates of all `free`.
 
-    Behind those of the records are those of first guesses with a width, so that the least squares
-    are those of the most likely x. Where residuals of records are correlated they tell less, and
-    the guesses count for more.
+    Behind those of the records are those of first guesses with a width, for the most likely x.
+    Where residuals of records are correlated they tell less, and the guesses count for more.
 
-    Problems share parameters, but biases and initial states, which each has of its own: `places`
-    has for each problem where its `free` are in x, `ends` until when its record is fitted [s].
-    `start`, `low` and `high` are first values and bounds of x. `deviations` has for each problem,
-    by output, the standard deviation of the sensor.
+    Problems share parameters, but biases and initial states: `places` has for each problem where
+    its `free` are in x, `ends` until when its record is fitted [s], `deviations` those of sensors,
+    by output. `start`, `low` and `high` are first values and bounds of x.
     """
 
     def __init__(self, problems: Sequence[Problem], loss: str = 'linear') -> None:
@@ -76,9 +76,10 @@ class Objective:
                                  f'{error}') from None
 
     def of_first_parts(self) -> Objective:
-        """Return the objective of the first part of each record."""
+        """Return that of a quarter of the time of each record, and of the motion of an output."""
         part = copy(self)
-        part.ends = [*map(first_part, self.problems)]
+        part.ends = [max(_FIRST_PART * each.until, min(times_of_motion(each, _FIRST_PART)))
+                     for each in self.problems]
         return part
 
     def with_effect(self, change: Callable[..., Mapping[str, Any]], sizes: Any,
@@ -176,25 +177,36 @@ class Objective:
         return all(whiteness(r) >= WHITE for r in self.split(self.residuals(x)))
 
     def estimate_deviations(self, x: np.ndarray) -> float:
-        """Estimate the standard deviations of the sensors; return the largest relative change."""
-        change, series = 0.0, self.split(self.residuals(x))
+        """
+        Estimate the standard deviations of residuals; return the largest relative change.
+
+        Residuals far above the noise are errors of the model. These outputs share a part of their
+        spread: by deviations of its own, one that is fitted well outweighs one that is hardly.
+        """
+        change, series, sizes = 0.0, self.split(self.residuals(x)), []
         self._alike = float(np.average([*map(alike, series)], weights=[*map(len, series)]))
-        for (k, name, _), r in zip(self.series(), series):
+        for (k, name, measured), r in zip(self.series(), series):
+            size = self.deviations[k][name] * (math.sqrt(np.mean(r**2)) if self.loss == 'linear'
+                                               else _MAD * float(np.median(np.abs(r))))
+            channel = self.problems[k].record.outputs[name]
+            wrong = not channel.noise and size > MANY * noise_of(channel)
+            sizes.append((size, float(np.std(measured)) if wrong else 0.0))
+        parts = [(size / spread)**2 for size, spread in sizes if spread]
+        for (k, name, _), (size, spread) in zip(self.series(), sizes):
             deviation = self.deviations[k][name]
-            size = math.sqrt(np.mean(r**2)) if self.loss == 'linear' else (
-                _MAD * float(np.median(np.abs(r))))
             known = self.problems[k].record.outputs[name].noise
-            new = max(size * deviation, known or self._least[k][name])
+            new = max(spread * math.sqrt(np.mean(parts)) if spread else size,
+                      known or self._least[k][name])
             if not known or new > 1.5 * known:
                 change = max(change, abs(new / deviation - 1.0))
                 self.deviations[k][name] = new
         return change
 
 
-def first_part(problem: Problem) -> float:
-    """Return when a quarter of the time is over, and of the motion of an output [s]."""
+def times_of_motion(problem: Problem, part: float) -> list[float]:
+    """Return when a part of the motion of each output that is fitted is over [s]."""
     t, ends = np.linspace(0.0, problem.until, _COARSE), []
     for channel in problem.record.outputs.values():
         motion = np.cumsum(np.diff(np.interp(t, channel.t, channel.values))**2)
-        ends.append(t[1 + np.searchsorted(motion, _FIRST_PART * motion[-1])])
-    return float(max(_FIRST_PART * problem.until, min(ends)))
+        ends.append(float(t[1 + np.searchsorted(motion, part * motion[-1])]))
+    return ends

@@ -4,8 +4,8 @@
 """
 What parameters a record allows: intervals and samples, also where squares are not quadratic.
 
-The likelihood falls with the sum of squares S. Correlated residuals count as fewer: a rise of S
-counts by the ratio of the covariance for white residuals to the one that allows for correlation.
+The likelihood falls with the sum of squares. Where residuals are correlated a rise counts by the
+ratio of the covariance for white ones to the one that allows for correlation.
 """
 
 from __future__ import annotations
@@ -37,10 +37,9 @@ class Samples(NamedTuple):
     """
     Equally likely parameters of a fit.
 
-    `values` has arrays, shape (n,), by name of a free parameter. `variations` is a list of
-    overrides of `Fit.scene`, for `simulate_many` and `Scene.vary`: the parameters of the arm,
-    without initial states and sensors, which are those of a record. `effective` is the number of
-    independent samples that tell as much.
+    `values` has arrays, shape (n,), by name of a free parameter. `variations` are overrides of
+    `Fit.scene`, for `simulate_many` and `Scene.vary`, without initial states and sensors, which
+    are those of a record. `effective` is the number of independent samples that tell as much.
     """
 
     values: dict[str, np.ndarray]
@@ -73,8 +72,8 @@ class Posterior:
         """
         Follow the curved valley: return x' near x with the residuals of the linear model at x.
 
-        That is Gauss-Newton with the Jacobian at the minimum. With `held`, x[held] stays and the
-        others are fitted (a profile). Also returns the rise of the squares.
+        With `held`, x[held] stays and the others are fitted (a profile). Also returns the rise of
+        the squares.
         """
         some = np.arange(len(x)) != held
         solve = self._inverse if held is None else np.linalg.pinv(self.jacobian[:, some])

@@ -1,11 +1,7 @@
 # Copyright 2026 The timo_sim authors
 # SPDX-License-Identifier: Apache-2.0
 
-"""
-Predictions of a record by runs with free parameters, and how certain the closest of these are.
-
-The closest parameters have the least sum of squares of residuals in standard deviations.
-"""
+"""Predictions of a record by runs with free parameters, and how certain the closest are."""
 
 from __future__ import annotations
 
@@ -86,8 +82,8 @@ def free_parameters(names: Sequence[str], bounds: Mapping[str, Sequence[float]],
     """
     Return the Free parameters of a fit from texts NAME=VALUE~WIDTH, with bounds (low, high).
 
-    Without a name, a width is that of all that have none. Raises ParameterError if a name is
-    unknown or given twice, or a start is outside of its bounds.
+    A width without a name is that of all that have none. ParameterError: a name is unknown or
+    given twice, or a start is outside of its bounds.
     """
     guesses = [(each, value, width) for name, value, width in map(split_guess, names) if name
                for each in (initial_names(scene) if name == INITIAL else [name])]
@@ -332,6 +328,17 @@ _MAX_KEPT = 2**22  # most numbers of the runs that are kept
 _MAX_PARTS = 16  # of a step, for friction that is steep
 
 
+def vary(scene: Scene, changes: Mapping[str, Any]) -> Scene:
+    """Return a scene with changes, and a part of its step where this is too long for friction."""
+    try:
+        return scene.vary(changes)
+    except StepError as error:
+        parts = 2**math.ceil(math.log2(scene.step / error.longest))
+        if parts > _MAX_PARTS:
+            raise
+        return scene.vary({**changes, 'integrator.step': scene.step / parts})
+
+
 class TimeIsUp(KeyboardInterrupt):
     """A run was asked for after the `deadline` of its Problem."""
 
@@ -367,29 +374,18 @@ class Problem:
                                  'no load, no motion at the beginning, no gravity and no spring')
 
     def scene_of(self, values: Mapping[str, float]) -> Scene:
-        """
-        Return the scene with free values, without the record's loads.
-
-        Its step is a part of the scene's where this is too long for friction or backlash.
-        """
+        """Return the scene with free values, without the record's loads, and a step as `vary`."""
         own = {name: value for name, value in values.items()
                if name not in self._sensors and name.rpartition('.')[0] not in self.record.inputs}
-        changes = overrides_of(own, self.scene)
-        try:
-            return self.scene.vary(changes)
-        except StepError as error:
-            parts = 2**math.ceil(math.log2(self.scene.step / error.longest))
-            if parts > _MAX_PARTS:
-                raise
-            return self.scene.vary({**changes, 'integrator.step': self.scene.step / parts})
+        return vary(self.scene, overrides_of(own, self.scene))
 
     def run(self, values: Mapping[str, float], end: float = math.inf,
             scene: Scene | None = None) -> Run:
         """
         Return the Run that predicts the record until `end` [s], with free values by name.
 
-        By default it predicts all of it; `scene` is by default `scene_of(values)`. Raises
-        DivergenceError if the run diverges, ParameterError if the values do not fit together.
+        `scene` is by default `scene_of(values)`. Raises DivergenceError if the run diverges,
+        ParameterError if the values do not fit together.
         """
         if time.monotonic() > self.deadline:
             raise TimeIsUp('its time was up')
@@ -414,11 +410,7 @@ class Problem:
 
     def predicted(self, values: Mapping[str, float], end: float = math.inf,
                   run: Any = None) -> dict[str, np.ndarray]:
-        """
-        Return what outputs should show at the samples until `end`; raises what `run` raises.
-
-        By default they are those of the `run` of these values.
-        """
+        """Return what outputs should show at samples until `end`, by a `run`, which may raise."""
         step, shown = self._shown_by(values, end) if run is None else self._outputs_of(run)
         return {name: _seen(step, shown[name], channel.t[channel.t <= end],
                             *sensor_of(values, name)[:-1])
@@ -491,11 +483,7 @@ _MIN_PART, _MIN_PART_UNIDENTIFIED = 0.25, 0.02
 
 
 def whiteness(residuals: np.ndarray) -> float:
-    """
-    Return the probability that white residuals, (n,), are as correlated, by Ljung and Box.
-
-    Their mean is 0: an offset correlates them.
-    """
+    """Return the probability that white residuals of mean 0, (n,), are as correlated (Ljung)."""
     from scipy.stats import chi2
     r, n = residuals, len(residuals)
     lags = min(_LAGS, n // 4)
@@ -523,12 +511,11 @@ def covariance(jacobians: Sequence[np.ndarray], residuals: Sequence[np.ndarray],
     """
     Return the covariance, (p, p), of least-squares estimates, and whether residuals are white.
 
-    If the residuals of all outputs are white it is that of independent noise. Otherwise what the
-    model lacks is in them, too, and each series counts as an autoregressive process, whose order
-    minimises Schwarz's criterion (BIC). No combination of parameters is then taken to be more
-    certain than with independent noise. The arguments are lists with an element for each series
-    (an output of a record): derivatives, (n_i, p), of the residuals, (n_i,), in standard
-    deviations. `widths`, (p,), are the deviations of first guesses, which tell as well.
+    If the residuals of all outputs are white it is that of independent noise. Otherwise each
+    series counts as an autoregressive process, whose order minimises Schwarz's criterion (BIC),
+    and no combination as more certain than with independent noise. The arguments are lists with an
+    element for each series (an output of a record): derivatives, (n_i, p), of the residuals,
+    (n_i,), in standard deviations. `widths`, (p,), are the deviations of first guesses.
     """
     whole = np.concatenate(jacobians)
     norms = np.maximum(np.linalg.norm(whole, axis=0), _MIN_SENSITIVITY)
@@ -576,10 +563,9 @@ def unidentified_combinations(jacobian: np.ndarray, names: Sequence[str],
     """
     Return the combinations of parameters on which the residuals hardly depend.
 
-    Each is a dictionary of the part of each parameter that matters in it, by name. `jacobian`,
-    shape (n, p), is that of all residuals in standard deviations by coordinates of the fit;
-    `doubtful` names those that are not identified, of which a combination has one. One counts as
-    unknown if half of its 95 % interval is more than 1.
+    Each has the part of each parameter that matters in it, by name. `jacobian`, (n, p), is that of
+    all residuals in standard deviations; `doubtful` names those that are not identified, of which
+    a combination has one. One is unknown if half of its 95 % interval is more than 1.
     """
     _, s, vt = np.linalg.svd(jacobian, full_matrices=False)
     found = []

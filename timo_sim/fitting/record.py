@@ -188,8 +188,7 @@ class Record:
         """
         Return the part from `start` to `end` [s], whose time begins at 0 again.
 
-        An input that has no sample in it keeps the value that acts there. Raises ParameterError
-        if an output has too few samples in it.
+        An input without a sample in it keeps its value; ParameterError: an output has too few.
         """
         if not 0.0 <= start < end:
             raise ParameterError(f'start and end must be 0 <= start < end, got {start:g} and '

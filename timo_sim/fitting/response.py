@@ -9,21 +9,17 @@ from collections.abc import Mapping, Sequence
 from dataclasses import dataclass, field
 import math
 import time
-from typing import Any, cast, TYPE_CHECKING
+from typing import Any, cast
 import warnings
 
 import numpy as np
 
-from timo_sim.extras import optional
 from timo_sim.fitting.problem import Problem, sensor_of, TimeIsUp
 from timo_sim.fitting.record import Channel, DRIVE, INPUT_UNITS, OUTPUTS, Record, unit_of
 from timo_sim.model.layout import with_unit
 from timo_sim.runs.linear import linearize
 from timo_sim.scene.parameters import did_you_mean, ModelWarning, ParameterError, short
 from timo_sim.scene.scene import Scene
-
-if TYPE_CHECKING:
-    from matplotlib.figure import Figure
 
 _KEYS = 'magnitude', 'phase', 'real', 'imaginary', 'unit', 'scale', 'coherence'
 _FEWEST = 5                # frequencies
@@ -134,27 +130,3 @@ def problem_of(scene: Scene, record: Record, names: Sequence[str],
     """Return the Problem of a Record or a Response."""
     kind = ResponseProblem if isinstance(record, Response) else Problem
     return kind(scene, record, names, bounds, until)
-
-
-def draw_responses(predictions: Sequence[Any]) -> Figure:
-    """Return a Figure: measured points and predicted curves, a column for each response."""
-    with optional():
-        from matplotlib.figure import Figure
-    figure = Figure(figsize=(7 * len(predictions), 7), layout='constrained')
-    for (size, phase), prediction in zip(figure.subplots(
-            2, len(predictions), sharex='col', squeeze=False).T, predictions):
-        record = prediction.record
-        for name, channel in record.outputs.items():
-            measured, found = (record.response(name, values) for values in (
-                channel.values, prediction.predicted[name]))
-            line, = size.loglog(channel.t[::2], np.abs(found), label=name)
-            size.loglog(channel.t[::2], np.abs(measured), '.', color=line.get_color())
-            for values, style in (found, '-'), (measured, '.'):
-                phase.semilogx(channel.t[::2], np.degrees(np.unwrap(np.angle(values))), style,
-                               color=line.get_color())
-        size.set(title=record.source, ylabel=f'gain from {", ".join(record.inputs)}')
-        phase.set(xlabel='frequency [Hz]', ylabel='phase [deg]')
-        size.legend()
-        for axes in (size, phase):
-            axes.grid(alpha=0.3)
-    return figure

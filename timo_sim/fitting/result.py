@@ -6,7 +6,7 @@
 from __future__ import annotations
 
 from collections.abc import Callable, Mapping, Sequence
-from dataclasses import dataclass, field
+from dataclasses import dataclass, field, replace
 from itertools import product
 import math
 from pathlib import Path
@@ -17,14 +17,14 @@ import numpy as np
 
 from timo_sim.fitting.auto import choose, plain
 from timo_sim.fitting.logs import read_log
-from timo_sim.fitting.look import begin_with, look, noise_of
+from timo_sim.fitting.look import begin_with, look, noise_of, turned
 from timo_sim.fitting.mapping import read_record
-from timo_sim.fitting.objective import LOSSES, Objective
+from timo_sim.fitting.objective import LOSSES, MANY, Objective
 from timo_sim.fitting.record import Record, unit_of
 from timo_sim.fitting.problem import (
     covariance, names_for, NORMAL, r_squared, split_guess, unidentified_combinations, whiteness)
 from timo_sim.fitting.posterior import Posterior, Samples
-from timo_sim.fitting.response import draw_responses, problem_of, Response
+from timo_sim.fitting.response import problem_of, Response
 from timo_sim.fitting.search import INTERRUPTED, NUMERICAL, Search
 from timo_sim.fitting.suspects import name_suspects, Suspect, suspects
 from timo_sim.fitting.table import SUFFIXES
@@ -34,7 +34,7 @@ from timo_sim.scene.parameters import (
     checked, FLAG, FUNCTION, MAPPING, Parameter, ParameterError, PATH, short, TEXTS, warn, WHOLE)
 from timo_sim.scene.scene import load_scene, Scene, SceneLike
 from timo_sim.simulation.finer import refine
-from timo_sim.view.fit import draw_fit
+from timo_sim.view.fit import draw_fit, draw_responses
 
 if TYPE_CHECKING:
     from matplotlib.figure import Figure
@@ -45,7 +45,6 @@ _AT_BOUND = 1e-3  # distance from a bound, in coordinates of the fit, that count
 _MIN_SAMPLES = 10  # samples of a part whose errors are worth a number
 _MAX_NOISE_RATIO = 2.0  # ratio of a residual to the known noise, above which there is a warning
 _NARROWED = 0.5  # part of the width of a guess that a record leaves, above which it tells nothing
-_MANY = 5.0  # ratio of residuals to noise, above which no interval holds
 _WORSE, _POOR = 3.0, 0.9  # ratio of errors held out and fitted, and R^2, that are warned of
 _FAR = 10.0  # ratio of an estimate to its first guess, above which there is a warning
 _RUNS, _RUNS_AFTER = 30, 6  # of a fit, and after its search, for each free parameter, roughly
@@ -59,14 +58,13 @@ class Estimate:
     """
     A fitted parameter with its 95 % interval, `low` to `high`; NaN if it is not identified.
 
-    The interval alone is NaN where the fit was stopped before it was known. A parameter whose
-    first guess has a width, of which the record leaves more than half, keeps its numbers, but is
-    `from_guess` and counts as not identified.
+    The interval alone is NaN where the fit was stopped before it. A parameter of whose guess the
+    record leaves more than half the width is `from_guess` and counts as not identified.
 
     `deviation` is the standard deviation; of a positive parameter that of its logarithm times its
     value. `start` is the first guess; `bound` is 'low' or 'high' if it is at this bound, else ''.
-    `profile` says that the interval is where the least squares with this parameter held have
-    risen by as much, because they are not quadratic; there it need not be symmetric.
+    `profile` says that the interval is where least squares with this parameter held have risen by
+    as much, because they are not quadratic.
     """
 
     value: float
@@ -95,10 +93,9 @@ class Errors:
 @dataclass(frozen=True, repr=False)
 class Prediction:
     """
-    A record and what a fitted scene predicts of it by one run from its beginning.
+    A record and what a fitted scene predicts of it by one run; what is after `until` is held out.
 
-    `errors` and `predicted`, (n,) at the record's samples, are by output; `run` is None if it
-    diverges. What is later than `until` [s] was held out.
+    `errors` and `predicted`, (n,) at the samples, are by output; `run` is None if it diverges.
     """
 
     record: Record
@@ -134,20 +131,17 @@ class Fit(Prediction):
     Attributes
     ----------
     scene : Scene
-        With the fitted values; its loads are not those of the record.
+        With the fitted values, without the loads of the record.
     estimates : dict of Estimate
-        By name of a free parameter. Those that each of several records has of its own end in
+        By name of a free parameter; what each of several records has of its own ends in
         `(record 1)`, and so on.
     correlation : ndarray, shape (p, p)
         Of the estimates, in their order.
     unidentified : list of dict
-        Combinations of parameters that the record hardly depends on: by name, the part of each
-        in it (of the logarithm, for positive parameters).
+        Combinations that the record hardly depends on: the part of each parameter by name.
     seconds : float
-        Wall time of the fit [s].
     white : bool
-        Whether the residuals of the fit are white; if not, the model lacks something, and the
-        intervals allow for that.
+        Whether the residuals are white; else the model lacks something, and intervals are wider.
     warnings : list of str
     starts : int
         How many starts were tried.
@@ -156,17 +150,15 @@ class Fit(Prediction):
     more : list of Prediction
         Of further records, with those that were held out at the end.
     posterior : Posterior
-        With the coordinates of the minimum.
     suspects : list of Suspect
-        What the scene may lack, that of the largest share of the squares of the residuals first;
-        empty if these are white.
+        What the scene may lack, that of the largest share of the squares first.
     stopped : str
-        Why the search ended before its end, if it did: the estimates are then the best so far.
+        Why the search ended early, if it did: the estimates are then the best so far.
     look : list of str
         What the records said before the search, by themselves and beside the first guess.
     ladder : list of str
-        With `auto`, which effects were tried, the error of what was held out for that, of its
-        spread, and which stay (those that are not indented).
+        With `auto`, effects that were tried, the error of what was held out for that, of its
+        spread, and those that stay, which are not indented.
 
     """
 
@@ -211,7 +203,7 @@ class Fit(Prediction):
         for name, each in self.estimates.items():
             interval = ('from your guess' if each.from_guess
                         else 'not known' if math.isnan(each.low)
-                        else 'no interval' if self.misfit > _MANY
+                        else 'no interval' if self.misfit > MANY
                         else f'{each.low:.5g} to {each.high:.5g}')
             shown = (f'{"not identified by this record":>38}' if math.isnan(each.value)
                      else f'{each.value:>11.5g}  {interval:>25}')
@@ -247,7 +239,7 @@ class Fit(Prediction):
             'white' if self.white else 'numerical errors alone' if exact else
             'not white, so the model lacks something; ' + (
                 f'they are {self.misfit:.3g} times the noise, so there are no intervals'
-                if self.misfit > _MANY else 'intervals allow for correlated residuals'))]
+                if self.misfit > MANY else 'intervals allow for correlated residuals'))]
         return '\n'.join([*lines, *(f'warning: {each}' for each in self.warnings), '',
                           self.verdict])
 
@@ -274,9 +266,8 @@ class Fit(Prediction):
         """
         Return n Samples of the parameters that the records allow, each as likely as the others.
 
-        Up to 1000 draws from a wider distribution are weighted by the squares of their runs, about
-        two for each. Raises ParameterError if a parameter has no value, since the records then
-        allow any of it, or if the fit was stopped before its intervals.
+        Up to 1000 draws are weighted by the squares of some two runs each. Raises ParameterError
+        if a parameter has no value, or the fit was stopped before its intervals.
         """
         if self.posterior is None:
             raise ParameterError('samples must have intervals, before which the fit was stopped')
@@ -325,9 +316,9 @@ def fit(scene: SceneLike | None, record: RecordLike | Sequence[RecordLike],
     """
     Fit parameters of a scene to a measured record, or to several.
 
-    The inputs of the record act on the scene, and the free parameters are those for which the
-    outputs of the run are closest to the measured ones, by least squares of residuals in standard
-    deviations of each sensor. These are estimated, too, if the record does not give them.
+    The inputs of the record act on the scene, and its outputs shall be closest to the measured
+    ones, by least squares of residuals in standard deviations of each sensor. These are estimated,
+    too, if the record does not give them.
 
     Parameters
     ----------
@@ -335,15 +326,14 @@ def fit(scene: SceneLike | None, record: RecordLike | Sequence[RecordLike],
         Its values of the free parameters are first guesses. None: the scene of a log of the node.
     record : Record, str or Path, or a list of them
         A Record; a log or bag of the node; or a table: CSV or other text, Parquet, MAT. Several
-        share the parameters, but each has biases and an initial state of its own, if these are
-        free, and its own standard deviations of the sensors.
+        share parameters, but for biases, an initial state and deviations of sensors of their own.
     free : sequence of str
         Names of parameters of the scene that are numbers, with [k] for an element of a list;
         QUANTITY.gain, .bias, .delay or .lag of an input or output of the record, such as
-        shaft.bias, or .dead_zone of an input; or `initial` for the whole initial state. NAME=VALUE
-        gives a first guess, by default that of the scene; NAME~WIDTH and NAME=VALUE~WIDTH its
-        standard deviation: 5%, x3 (a factor), a number, or inf, which is no guess but a place to
-        begin. ~WIDTH alone is that of all which have none; else it is a usual one, see doc/fit.md.
+        shaft.bias, or .dead_zone of an input; or `initial`, the whole initial state. NAME=VALUE
+        gives a first guess, else the scene does; NAME~WIDTH and NAME=VALUE~WIDTH its standard
+        deviation: 5%, x3 (a factor), a number, or inf, which is no guess but a place to begin.
+        ~WIDTH alone is that of all which have none; else it is a usual one, see doc/fit.md.
     bounds : dict, optional
         (low, high) by name, within the parameter's own rule.
     hold_out : float
@@ -354,31 +344,28 @@ def fit(scene: SceneLike | None, record: RecordLike | Sequence[RecordLike],
         Which column of a table is which quantity, see doc/fit.md; or a list with one for each
         record, those that are held out at the end.
     starts : int, optional
-        How many starts are tried: the scene's values, and points around them. By default up to 16,
-        until the minimum is good or found again.
+        Of the search: the scene's values, and points around them. By default up to 16, until the
+        minimum is good or found again.
     hold_out_records : list of Record, str or Path
-        Records that are not fitted but predicted, without biases and with the scene's initial
-        state.
+        They are predicted, not fitted, without biases and with the scene's initial state.
     tell : function(str), optional
         Is called with the time that the fit may take, each start, and each further phase.
     quick : bool
-        End with the search: all intervals are quadratic, and no suspects are sought, which can
-        take longer than the search.
+        End with the search: all intervals are quadratic, and no suspects are sought.
     time : float, optional
-        Most that the fit may take [s], but for the last run of each record. The search leaves
-        time for the intervals. Where this or a KeyboardInterrupt (Ctrl-C) stops the fit, the best
-        so far is returned, see `Fit.stopped`.
+        Most that the fit may take [s], but for the last run of each record. Where this or a
+        KeyboardInterrupt (Ctrl-C) stops it, the best so far is returned, see `Fit.stopped`.
     auto : bool
         Choose the effects, too: from what `free` names, by default the plain arm, effects are
-        tried in turn, and kept if the last third of what is fitted, which is held out for that,
-        is predicted better. They may take six tenths of `time`.
+        tried in turn, and kept if the last third of the motion that is fitted, which is held out
+        for that, is predicted better. They may take six tenths of `time`.
     keep : function(Scene, str), optional
         Is called, with `auto`, with each scene that is the best so far, and the values found.
 
     Raises
     ------
     ParameterError
-        If names, bounds, mapping or record are not valid, or the first guess cannot be run.
+        If an argument is not valid, or the first guess cannot be run.
 
     Warns
     -----
@@ -405,7 +392,7 @@ def fit(scene: SceneLike | None, record: RecordLike | Sequence[RecordLike],
     time = None if time is None else _TIME.check(time)
     start, measured, held = read_scene_and_records(scene, record, mapping, hold_out_records)
     start = start.with_fixed_shapes()
-    if auto and not free:
+    if plainly := auto and not free:
         start, free = plain(start, measured[0])
     if not any(split_guess(each)[0] for each in free):
         raise ParameterError('a fit must have at least one free parameter, got none, or auto')
@@ -428,9 +415,18 @@ def fit(scene: SceneLike | None, record: RecordLike | Sequence[RecordLike],
             for (changes, more, _), each in zip(begins, measured)], loss)
 
     objective, end = objective_of(start, free), math.inf if time is None else begun + time
-    seen = [f'{line} (record {k + 1})' if len(measured) > 1 else line
-            for k, (problem, (*_, told)) in enumerate(zip(objective.problems, begins))
-            for line in (*told, *look(problem, objective.values(objective.start, k)))]
+    wrong = turned(objective.problems[0], objective.values(objective.start, 0)) if plainly else []
+    if wrong:
+        measured, held = ([replace(each, outputs={
+            name: channel._replace(values=-channel.values) if name in wrong else channel
+            for name, channel in each.outputs.items()}) for each in some]
+            for some in (measured, held))
+        objective = objective_of(start, free)
+    seen = [f'{name} moves against the run of the first guess, and all else with it: its sign is '
+            'taken for wrong, as by scale: -1 in the mapping' for name in wrong] + [
+        f'{line} (record {k + 1})' if len(measured) > 1 else line
+        for k, (problem, (*_, told)) in enumerate(zip(objective.problems, begins))
+        for line in (*told, *look(problem, objective.values(objective.start, k)))]
     if tell or time:
         run, count = _measure(objective), len(objective.free)
         say(f'a run of the records takes {run:.2g} s, a fit of {count} parameters from one start '
@@ -440,7 +436,7 @@ def fit(scene: SceneLike | None, record: RecordLike | Sequence[RecordLike],
     if auto:
         choice = choose(start, [*free], objective_of, say, keep or (lambda scene, text: None),
                         begun + _FOR_EFFECTS * (end - begun), starts)
-        start, free, starts, first = choice.scene, choice.free, starts or 1, choice.values
+        start, free, starts, first = choice.scene, choice.free, starts or 0, choice.values
         objective = objective_of(start, free)
     others = [_held_out(start, each, free, measured, objective) for each in held]
     search = Search(objective, say, first)

@@ -65,8 +65,7 @@ class Search:
     A search for the least sum of squares of an Objective, `first` from some values by name.
 
     `tried` starts led to x and to `others` that fit as well, values by name; `stopped` says what
-    ended the search before its end, if anything did, and x are then the best so far. `tell` is
-    called with a text for each start and search.
+    ended the search early. `tell` is called with a text for each start and search.
     """
 
     def __init__(self, objective: Objective, tell: Callable[[str], object] = lambda text: None,
@@ -80,9 +79,9 @@ class Search:
 
     def run(self, starts: int | None) -> None:
         """
-        Find x and the standard deviations of the sensors; `starts` is as for `fit`.
+        Find x and the standard deviations of the sensors; `starts` is as for `fit`, or 0.
 
-        Where it ends early x are the best so far.
+        With 0 it goes on from `first`. Where it ends early x are the best so far.
         """
         objective = self.objective
         try:
@@ -112,12 +111,12 @@ class Search:
     def _run(self, starts):
         """Return x and others that fit as well."""
         objective = self.objective
-        x, *others = self._try_starts(starts)
+        x, *others = self._try_starts(starts) if starts != 0 else [self.first]
         x = self._settle(x)
         self._tell('last search, with tight tolerances')
         minima = [self._end(each) for each in [x, *others]]
         best = min(minima, key=lambda each: each.cost)
-        if not objective.is_white(best.x) and not self._is_doubtful(best.x, 1):
+        if starts != 0 and not objective.is_white(best.x) and not self._is_doubtful(best.x, 1):
             # A first part may have led away from a guess that is good.
             again = self._end(self._solve(_LOOSE, self.first).x)
             self._tell(f'from the first guess without a first part: {again.cost / best.cost:.3g} '

@@ -5,11 +5,10 @@
 Which effect, missing in the scene, the residuals of a fit look like.
 
 A run of the fitted scene with some of an effect, less that without, is the direction in which the
-effect moves the residuals. What a change of the free parameters would do as well is taken out; the
-share of the squares of the residuals along the rest is what the effect would explain, to first
-order. Effects whose share is close to the largest are then fitted, together with the free
-parameters, to two thirds of what is fitted: their share is that by which the squares of the rest,
-which they predict, are less than without them.
+effect moves the residuals. What free parameters would do as well is taken out; the share of the
+squares along the rest is what the effect would explain, to first order. Effects whose share is
+close to the largest are then fitted with what is free to the first two thirds of the motion: their
+share is that by which the squares of the rest, which they predict, are less than without them.
 """
 
 from __future__ import annotations
@@ -22,12 +21,13 @@ from typing import Any, NamedTuple
 import numpy as np
 from scipy.optimize import least_squares
 
-from timo_sim.fitting.objective import DIVERGED, Objective
+from timo_sim.fitting.objective import DIVERGED, Objective, times_of_motion
 from timo_sim.fitting.problem import kinds_of
 from timo_sim.fitting.record import DRIVE
 from timo_sim.model.layout import INPUTS
 from timo_sim.scene.numbers import initial_scale
 from timo_sim.scene.parameters import PARAMETERS
+from timo_sim.topics.commands import JOINTS
 
 _FRICTION = 0.01, 0.1, 1.0  # sizes that are tried, of the force that accelerates the free body
 _ASYMMETRY, _MOST = 0.2, 0.99
@@ -46,9 +46,10 @@ _WORTHWHILE, _BENT = 0.5, 0.2  # share, of the largest, above which effects are 
 _STEP, _TOLERANCE, _MAX_RUNS = 1e-3, 1e-3, 25  # of these fits, as of `least_squares`
 _STRETCHED, _CLAMP, _DEAD = (0.1, 1.0), (0.1, 0.5), (0.02, 0.1)  # of usual sizes
 _GEAR = 'motor.rotor.inertia', 'motor.gear.stiffness', 'motor.gear.damping'
-_MOVING = 'initial.modal_coordinates[0]', 'initial.modal_rates[0]'
+MOVING = 'initial.modal_coordinates[0]', 'initial.modal_rates[0]'
 _TILTED = 'gravity[0]', 'gravity[1]'
 _SPRING = 'motor.spring.stiffness', 'motor.spring.rest'
+_TO_A_SIDE, _WAYS = ('.coulomb_asymmetry', '.bias', '.spring.stiffness', 'gravity[0]'), 50
 _ALIKE = 1.5  # ratio of what suspects leave to what the first leaves, up to which they are named
 
 
@@ -93,12 +94,12 @@ class Suspect(NamedTuple):
 
 
 def suspects(objective: Objective, x: np.ndarray, jacobian: np.ndarray,
-             residuals: np.ndarray, most: int = 0, error: float = 0.0) -> list[Suspect]:
+             residuals: np.ndarray, most: int = 0, errors: Any = None) -> list[Suspect]:
     """
     Return the Suspects of a fit that has ended at x, that of the largest share first.
 
     `jacobian`, (n, p), and `residuals`, (n,), are weighted ones there. The likely ones, or as many
-    as `most`, are fitted; `error` is that without them, see `predict`, if it is known.
+    as `most`, are fitted; `errors` are those without them, see `predict`, if they are known.
     """
     problem = objective.problems[0]
     if np.any(np.abs(here := objective.residuals(x)) >= DIVERGED):
@@ -106,8 +107,12 @@ def suspects(objective: Objective, x: np.ndarray, jacobian: np.ndarray,
     (free, _), root = np.linalg.qr(jacobian), objective.weights(here)
     left = residuals - free @ (free.T @ residuals)
     found, tried = list[Suspect](), list[Any]()
+    sided = most and moves_one_way(problem)  # then what pushes to a side looks like others
     for effect in _effects(objective, x):
         of_trials = []
+        if sided and effect.free and effect.free[0].endswith(_TO_A_SIDE) and (
+                effect.free[0].rpartition('.')[0] not in problem.record.outputs):
+            continue
         for sizes in np.array(effect.trials):
             having = objective.with_effect(effect.changes, np.append(sizes, effect.shape))
             runs = [having.residuals(np.append(x, [*each, *np.ones(len(effect.shape))]))
@@ -129,21 +134,33 @@ def suspects(objective: Objective, x: np.ndarray, jacobian: np.ndarray,
             share > (_BENT if effect.bends else _WORTHWHILE) * tried[0][0] or effect.low == 1.0)
         ratio = math.inf
         if worth:
-            error = error or predict(objective, x)[0]
+            errors = predict(objective, x)[0] if errors is None else errors
             with_it, sizes = predict(objective, x, effect, sizes)
-            ratio = with_it / error
+            rise = with_it - errors  # what betters some at the cost of another betters nothing
+            ratio = math.exp(np.mean(rise) if max(rise) < -math.log(BETTER) else max(rise))
             share = max(0.0, 1.0 - ratio**2)
         found.append(Suspect(effect.name, share, effect.advice(own, sizes), ratio=ratio,
                              effect=effect, sizes=sizes))
     return sorted((each for each in found if each.share), key=lambda each: -each.share)
 
 
-def predict(objective: Objective, x: np.ndarray, effect: _Effect | None = None,
-            sizes: Any = ()) -> tuple[float, Any]:
-    """
-    Return the error of the last third of the records, and sizes, of a fit to the rest, near x.
+def moves_one_way(problem):
+    """Return whether what is fitted goes back by less than a quarter of all its ways."""
+    t = np.linspace(0.0, problem.until, _WAYS)
+    for channel in (problem.record.outputs[name] for name in JOINTS
+                    if name in problem.record.outputs):
+        ways = np.diff(np.interp(t, channel.t, channel.values))
+        if abs(ways.sum()) > 0.5 * np.abs(ways).sum():
+            return True
+    return False
 
-    It is the geometric mean of rms errors of outputs, each over its spread.
+
+def predict(objective: Objective, x: np.ndarray, effect: _Effect | None = None,
+            sizes: Any = ()) -> tuple[np.ndarray, Any]:
+    """
+    Return errors of the last third of the motion, and sizes, of a fit to the rest, near x.
+
+    They are logarithms of the rms errors of outputs, each over its spread.
     """
     whole, terms, varied = objective, [], []
     if effect:
@@ -152,7 +169,7 @@ def predict(objective: Objective, x: np.ndarray, effect: _Effect | None = None,
         whole = objective.with_effect(lambda own, *some: effect.changes(
             own, *(some or sizes)), varied, low[:len(varied)])
     part = copy(whole)
-    part.ends = [_INNER * end for end in objective.ends]
+    part.ends = [float(np.mean(times_of_motion(each, _INNER))) for each in objective.problems]
     x = least_squares(
         part.residuals, part.within(np.append(x, np.ones(len(varied)))),
         lambda x: part.jacobian(x, _STEP, False), (part.low, part.high), x_scale='jac',
@@ -160,8 +177,8 @@ def predict(objective: Objective, x: np.ndarray, effect: _Effect | None = None,
     for (k, name, measured), rows in zip(objective.series(), whole.split(whole.residuals(x))):
         late = objective.problems[k].record.outputs[name].t[:len(rows)] > part.ends[k]
         size = (objective.deviations[k][name] / (np.std(measured) or 1.0))**2
-        terms.append(np.log(np.mean(rows[late]**2) * size + _FINE**2))
-    return float(np.exp(0.5 * np.mean(terms))), (
+        terms.append(0.5 * np.log(np.mean(rows[late]**2) * size + _FINE**2))
+    return np.array(terms), (
         x[len(objective.free):] * varied if len(varied) else sizes)
 
 
@@ -234,21 +251,21 @@ def _effects(objective: Objective, x: np.ndarray) -> Iterator[_Effect]:
     if not any(own['gravity']):
         yield _Effect('gravity, as of a tilted plane', _TILTED,
                       [[size, size] for size in _GRAVITY], both)
-    late = {name for name in problem.record.outputs if f'{name}.delay' in values}
+    early = {name for name in {**problem.record.inputs, **problem.record.outputs}
+             if name != DRIVE and f'{name}.delay' not in values}
     for name, channel in {**problem.record.inputs, **problem.record.outputs}.items():
         steps, size = [[count * step] for count in _DELAYS], np.abs(channel.values).max()
         for kind, text, trials, low in (
                 ('delay', 'a delay of', steps, 0.0), ('lag', 'a lag of', steps, 0.0),
                 ('bias', 'an offset of', [[np.std(channel.values) or 1.0]], both),
                 ('dead_zone', 'a dead zone of', [[part * size] for part in _DEAD], 0.0)):
-            # Delays of all outputs are those of the input.
+            # One of all is the clock of the others.
             if f'{name}.{kind}' not in values and kind in kinds_of(problem.record, name) and (
-                    name != DRIVE) and (kind in ('bias', 'dead_zone') or late < {
-                        *problem.record.outputs}):
+                    name != DRIVE) and (kind in ('bias', 'dead_zone') or early != {name}):
                 yield _Effect(f'{text} {name}', [f'{name}.{kind}'], trials, low)
     if 'initial.modal_coordinates[0]' not in values and own['model.modes']:
-        yield _Effect('an arm that moves at the beginning', _MOVING,
-                      [[initial_scale(name, problem.scene) for name in _MOVING]], both)
+        yield _Effect('an arm that moves at the beginning', MOVING,
+                      [[initial_scale(name, problem.scene) for name in MOVING]], both)
     for each in INPUTS:
         if each.name in problem.record.inputs and each.limit and not np.isfinite(own[each.limit]):
             most = np.abs(problem.record.inputs[each.name].values).max()

@@ -66,3 +66,27 @@ def draw_fit(predictions: Sequence[Any], unit_of: Callable[[str], str]) -> Figur
             axes.set_title(f'{title}\n{text}'.strip(), loc='left', fontsize='medium')
         column[-1].set(xlabel='time [s]', xlim=(0.0, record.duration))
     return figure
+
+
+def draw_responses(predictions: Sequence[Any]) -> Figure:
+    """Return a Figure: measured points and predicted curves, a column for each response."""
+    with optional():
+        from matplotlib.figure import Figure
+    figure = Figure(figsize=(7 * len(predictions), 7), layout='constrained')
+    for (size, phase), prediction in zip(figure.subplots(
+            2, len(predictions), sharex='col', squeeze=False).T, predictions):
+        record = prediction.record
+        for name, channel in record.outputs.items():
+            measured, found = (record.response(name, values) for values in (
+                channel.values, prediction.predicted[name]))
+            line, = size.loglog(channel.t[::2], np.abs(found), label=name)
+            size.loglog(channel.t[::2], np.abs(measured), '.', color=line.get_color())
+            for values, style in (found, '-'), (measured, '.'):
+                phase.semilogx(channel.t[::2], np.degrees(np.unwrap(np.angle(values))), style,
+                               color=line.get_color())
+        size.set(title=record.source, ylabel=f'gain from {", ".join(record.inputs)}')
+        phase.set(xlabel='frequency [Hz]', ylabel='phase [deg]')
+        size.legend()
+        for axes in (size, phase):
+            axes.grid(alpha=0.3)
+    return figure
