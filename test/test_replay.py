@@ -24,7 +24,7 @@ from timo_sim.topics.outputs import outputs
 STORE = get_typestore(Stores.ROS2_JAZZY)
 # Log time after the first [ns], torque [N m]; the infinite one is refused.
 TORQUES = ((0, 1.0), (299000001, -2.0), (500000000, np.inf), (700000000, 0.5))
-SCENE = {'load.torque.piecewise.time': [0.1, 0.4, 0.8],
+SCENE = {'load.torque.piecewise.time': [0.0, 0.3, 0.7],
          'load.torque.piecewise.value': [1.0, -2.0, 0.5]}
 
 
@@ -41,14 +41,14 @@ def bag(tmp_path):
 
 
 def test_a_bag_of_commands_gives_the_run_with_these_loads(bag, paper, tmp_path):
-    text = call('replay', bag, '--scene', paper, '--start', 0.1, '--duration', 1.5, '--set',
+    text = call('replay', bag, '--scene', paper, '--duration', 1.5, '--set',
                 'load.force_x.harmonic.amplitude=[]', '--set',
                 'load.force_x.harmonic.frequency=[]', '--set', 'load.force_x.harmonic.phase=[]',
                 '--set', 'rate.tip_pose=20', '-o', tmp_path / 'run.mcap')
     assert '3 commands' in text and '1 commands are left out' in text
     recording = Recording(tmp_path / 'run.mcap')
     # A command 299.000001 ms after the first comes in the 300th step and acts from its end on.
-    assert recording.topics['~/motor_torque'].step.tolist() == [100, 400, 800]
+    assert recording.topics['~/motor_torque'].step.tolist() == [0, 300, 700]
     assert recording.topics['~/tip_pose'].step.tolist() == list(range(0, 1501, 50))
     scene = timo_sim.load_scene(paper, {
         'load.force_x.harmonic.amplitude': [], 'load.force_x.harmonic.frequency': [],
@@ -60,10 +60,9 @@ def test_a_bag_of_commands_gives_the_run_with_these_loads(bag, paper, tmp_path):
     assert np.abs(motion - run.values).max() < 1e-12
     assert 'act after the end' not in text
     # A command at the last step would act only after it.
-    for duration, count in ((0.1, 0), (0.4, 1), (0.401, 2)):
+    for duration, count in ((0.1, 1), (0.3, 1), (0.301, 2)):
         path = tmp_path / f'{duration}.mcap'
-        text = call('replay', bag, '--scene', paper, '--start', 0.1, '--duration', duration,
-                    '-o', path)
+        text = call('replay', bag, '--scene', paper, '--duration', duration, '-o', path)
         assert f': {count} commands and' in text
         assert f'{3 - count} commands are left out, because they act after the end' in text
         assert len(Recording(path).topics['~/motor_torque'].step) == count

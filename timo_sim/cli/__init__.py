@@ -363,13 +363,11 @@ def recover(file: str, output: str | None) -> None:
 @click.option('--output', '-o', type=click.Path(), help=(
     'New log; by default FILE with _replay after its name in the working directory if anything '
     'is changed, else none. Never overwrites: _1, _2, ... is appended.'))
-@click.option('--start', type=float, default=0.0, show_default=True,
-              help='Sim time of the first command of a bag without sim time [s].')
 @click.option('--duration', type=float,
               help='Sim time of the end [s]; by default that of the last message.')
 @_node
 def replay(file: str, settings: tuple[str, ...], scene: str | None, output: str | None,
-           start: float, duration: float | None, node: str | None) -> None:
+           duration: float | None, node: str | None) -> None:
     r"""
     Run the commands and resets of FILE again, at full speed, and compare.
 
@@ -393,7 +391,7 @@ def replay(file: str, settings: tuple[str, ...], scene: str | None, output: str 
     """
     from timo_sim.runs.replay import replay
     changes = parse_settings(settings)
-    if not replay(file, changes, output, scene, start, duration, node, click.echo):
+    if not replay(file, changes, output, scene, duration, node, click.echo):
         sys.exit(1)
 
 

@@ -23,8 +23,7 @@ from timo_sim.log.tables import Recording
 from timo_sim.runs.simulate import resolve
 from timo_sim.runs.run import Run
 from timo_sim.scene.parameters import (
-    check, checked, DEFAULTS, frame_names, LATEST, Parameter, ParameterError, PATH, steps_in, TEXT,
-    whole_ratio)
+    check, checked, DEFAULTS, frame_names, ParameterError, PATH, steps_in, TEXT, whole_ratio)
 from timo_sim.scene.scene import Scene, scene_from, values_of
 from timo_sim.simulation.loads import load_of_commands
 from timo_sim.simulation.simulator import Simulator
@@ -36,7 +35,6 @@ from timo_sim.topics.outputs import title, with_angles
 _ROUNDING = 1e-9  # relative error of times in steps
 _BATCH = 500  # most steps of one compiled call
 _MOST_SAMPLES = 10**7  # of a topic that a recording lacks: a day at 100 Hz
-_START = Parameter('start', 0.0, 's', 'sim time of the first message', low=-LATEST, high=LATEST)
 
 
 @checked(path=PATH, node=TEXT)
@@ -71,13 +69,13 @@ def open_log(path: str | Path, node: str | None = None) -> Run:
 
 def replay(file: str | Path, changes: Mapping[str, Any] | None = None,
            output: str | Path | None = None, scene_file: str | Path | None = None,
-           start: float = 0.0, duration: float | None = None, node: str | None = None,
+           duration: float | None = None, node: str | None = None,
            show: Callable[[str], object] = print) -> bool:
     """
     Replay a log or a bag, compare what it publishes with what was logged, and report.
 
     `changes` are values by dotted name that differ from those of the recorded scene, `scene_file`
-    is a parameter file instead of it, which a plain bag needs; for `start`, `duration` and `node`
+    is a parameter file instead of it, which a plain bag needs; for `duration` and `node`
     see `segments_of` and `Recording`. `output` is a new log; by default there is none for an
     unchanged scene, else one in the working directory, named after `file` with `_replay` appended.
     `show` is called with each line of the report. Returns whether the run did not diverge and, if
@@ -97,7 +95,7 @@ def replay(file: str | Path, changes: Mapping[str, Any] | None = None,
     if scene.values['model.accuracy']:
         scene, _ = resolve(scene, duration or 0.0)
     values.update(scene.values)
-    segments = segments_of(recording, scene, values, start, duration)
+    segments = segments_of(recording, scene, values, duration)
     log = None
     if output or not same:
         path = output or Path(recording.path.stem + '_replay.mcap')
@@ -166,18 +164,18 @@ class Segment:
     timeouts: int = 0  # how many of `commands` are time-outs that a bag does not show
 
 
-def segments_of(recording: Recording, scene: Scene, values: Mapping[str, Any], start: float = 0.0,
+def segments_of(recording: Recording, scene: Scene, values: Mapping[str, Any],
                 duration: float | None = None) -> list[Segment]:
     """
     Return the Segments of a recording, counted in steps of a scene.
 
     A scene may have another time step: a command acts from the next whole step on. `values` are
-    the node's parameters, for the rates of topics that are not in the recording; `start` is the
-    sim time of the first message of a bag that has no sim time, `duration` that of the end, by
-    default of the last message [s]. Raises LogError if there is nothing to replay; ParameterError
-    if logged messages are not at whole time steps, or the log is shorter than the duration.
+    the node's parameters, for the rates of topics that are not in the recording; `duration` is the
+    sim time of the end, by default of the last message [s]. The first command of a bag that has no
+    sim time acts at 0. Raises LogError if there is nothing to replay; ParameterError if logged
+    messages are not at whole time steps, or the log is shorter than the duration.
     """
-    recorded, result = _Recorded(recording, scene, values, start), []
+    recorded, result = _Recorded(recording, scene, values), []
     last = recorded.last_step(duration)
     for number, (first, end) in enumerate(pairwise([0, *recorded.resets, last])):
         end = min(end, last)
@@ -201,7 +199,7 @@ class _Recorded:
     Resets are counted: what has the number k comes after k of them. `resets` are their steps.
     """
 
-    def __init__(self, recording, scene, values, start):
+    def __init__(self, recording, scene, values):
         self._recording, self._scene, self._values = recording, scene, values
         topics = recording.topics
         if not any(len(series.ns) for series in topics.values()):
@@ -217,8 +215,7 @@ class _Recorded:
                     if command.name in topics]
         self._shift = 0  # of stamps [ns]
         if not recording.facts and not motions:
-            self._shift = round(1e9 * _START.check(start)) - min(
-                int(series.ns[0]) for _, series in commands if len(series.ns))
+            self._shift = -min(int(series.ns[0]) for _, series in commands if len(series.ns))
         # Of each topic of commands: its index in COMMANDS, its series, the steps of its messages.
         self._commands = [(number, series, _round_up(self._steps(series)))
                           for number, series in commands]
