@@ -64,7 +64,7 @@ def test_simulate_draws_logs_and_tabulates(python, tmp_path):
         assert words, said
     assert (tmp_path / 'paper.png').read_bytes().startswith(b'\x89PNG')
     recording = Recording(tmp_path / 'paper.mcap')
-    assert recording.scene.values['arm.length'] == 1.9 and len(recording.motion()[1]) == 201
+    assert recording.scene.values['arm.length'] == 1.9 and len(recording.motion()[0]) == 201
     assert (tmp_path / 'run.parquet').exists()
 
 

@@ -75,7 +75,8 @@ def response(path):
     """Return motions by step, counted from the first command."""
     recording = Recording(path)
     pushed = recording.topics['~/motor_torque'].step[0]
-    step, _, motion = recording.motion()
+    ns, motion, _ = recording.motion()
+    step = np.rint(1e-9 * ns / recording.scene.step).astype(int)
     return dict(zip((step - pushed).tolist(), motion, strict=True))
 
 

@@ -243,9 +243,10 @@ class Recording:
         """
         Return the motion at the samples of joint_states that have a modal_state.
 
-        The results are time step and sim time [ns], int64, shape (n,), n > 0, and the motion,
-        shape (n, 2 (3 + N)), see `model.layout`. The step of a reset may occur twice: before and
-        after it. Raises LogError if these topics, common samples of them or the scene are missing.
+        The results are sim time [ns], int64, shape (n,), n > 0, the motion, shape (n, 2 (3 + N)),
+        see `model.layout`, and the efforts of the joints, (n, 3) [N, N m]. The time of a reset may
+        occur twice: before and after it. Raises LogError if these topics, common samples of them
+        or the scene are missing.
         """
         if self.scene is None:
             raise self.lacks(f'{self.name}/scene, so that the simulated scene is not known: '
@@ -255,7 +256,7 @@ class Recording:
             raise self.lacks(f'joint_states of {self.name}')
         joints, modes = found['joint_states'], found.get('~/modal_state')
         if modes is not None:
-            first, second = common(joints.ns, modes.ns)
+            first, second = common(joints, modes)
             q, rates = np.hsplit(modes.values[second], 2)
             position, velocity = joints.values[first, :3], joints.values[first, 3:6]
             motion = np.hstack([position, q, velocity, rates])
@@ -269,7 +270,7 @@ class Recording:
         if not len(motion):
             raise self.lacks('joint_states with a modal_state of the same time: choose rates of '
                              'which one is a multiple of the other')
-        return joints.step[first], joints.ns[first], motion
+        return joints.ns[first], motion, joints.values[first, 6:9]
 
     def lacks(self, what: str) -> LogError:
         """Return a LogError about what is missing, and about topics that are not read."""
@@ -428,22 +429,16 @@ def _number(text):
     return math.nan
 
 
-def common(first: np.ndarray, second: np.ndarray) -> tuple:
-    """
-    Return the places of the same values in two ascending lists, pairwise.
-
-    If a value occurs several times, as the step of a reset may, the last ones are paired.
-    """
-    if np.array_equal(first, second):
+def common(first: Series, second: Series) -> tuple:
+    """Return places in one series, and in another those of the last message of the same time."""
+    if np.array_equal(first.ns, second.ns):
         return slice(None), slice(None)
-    keys = []
-    for values in (first, second):
-        _, place, count = np.unique(values, return_index=True, return_counts=True)
-        left = np.repeat(place + count, count) - np.arange(len(values))  # 1 for the last of each
-        keys.append(np.rec.fromarrays([values, left]))
-    _, one, other = np.intersect1d(keys[0], keys[1], assume_unique=True, return_indices=True)
-    order = np.argsort(one)
-    return one[order], other[order]
+    # At the step of a reset there are messages before and after it.
+    ours, theirs = (np.rec.fromarrays([each.ns, each.resets]) for each in (first, second))
+    place = np.searchsorted(theirs, ours, 'right') - 1
+    found = np.flatnonzero(place >= 0)
+    found = found[theirs[place[found]] == ours[found]]
+    return found, place[found]
 
 
 class _Collector:
@@ -621,7 +616,7 @@ def table(recording: Recording, topic: str | None = None) -> tuple[
     columns.update(zip(names, values.T))
     for name, series in found.items():
         names, values = with_angles(series.columns, series.values)
-        here, there = common(base.ns, series.ns)
+        here, there = common(base, series)
         whole = np.full((len(base.ns), len(names)), np.nan)
         whole[here] = values[there]
         columns.update(zip(column_names(name, names), whole.T))

@@ -151,14 +151,11 @@ class Interfaces:
 
     def _get_entities(self, request, response):
         filters = request.filters
-        if filters.tags.tags:
-            raise _RefusalError('entities have no tags')
-        if filters.bounds.type != Bounds.TYPE_EMPTY:
-            raise _RefusalError('entities have no bounds')
-        if filters.filter not in ('', *_ENTITIES):
-            # A regular expression may take re, which cannot be interrupted, longer than a life.
-            raise _RefusalError(f'filter must be empty or one of {", ".join(_ENTITIES)}: regular '
-                                'expressions are not supported')
+        # A regular expression may take re, which cannot be interrupted, longer than a life.
+        if (filters.tags.tags or filters.bounds.type != Bounds.TYPE_EMPTY
+                or filters.filter not in ('', *_ENTITIES)):
+            raise _RefusalError('entities have no tags and no bounds, and filter must be empty or '
+                                f'one of {", ".join(_ENTITIES)}')
         wanted = {each.category for each in filters.categories} or {EntityCategory.CATEGORY_ROBOT}
         response.entities = [name for name in _ENTITIES if filters.filter in ('', name)
                              and EntityCategory.CATEGORY_ROBOT in wanted]

@@ -59,7 +59,7 @@ def open_log(path: str | Path, node: str | None = None) -> Run:
 
     """
     recording = Recording(path, node)
-    _, ns, motion = recording.motion()
+    ns, motion, _ = recording.motion()
     scene = recording.scene
     heat = np.full(len(ns), np.nan) if scene.has_dry_friction else np.zeros(len(ns))
     return Run(scene=scene, model=scene.build(), t=1e-9 * ns, values=motion, friction_heat=heat,

@@ -163,9 +163,7 @@ class Run(MotionFields, PointsOfArm):
         give.
         """
         if self.recording is not None:
-            from timo_sim.log.tables import common
-            joints = self.recording.read('joint_states')['joint_states']
-            return joints.values[common(joints.ns, np.rint(self.t * 1e9).astype(int))[0], 6:9]
+            return self.recording.motion()[2]
         loads = self.loads()
         effort = applied(self.model, self.values, loads)
         effort[:, 2] = self.model.manipulator.effort(loads[:, TORQUE], self.rotor_velocity)
