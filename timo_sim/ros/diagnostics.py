@@ -33,9 +33,8 @@ class Health:
         self._node, self._simulator, self._loop = node, simulator, loop
         self._commands, self._log, self._publishes_clock = commands, log, publishes_clock
         self._before: dict[str, float] = {}
-        self._warned: str | None = None
         self._silent_periods = 0
-        self._around: list[str] = []  # what is wrong around the node
+        self._warnings: list[str] = []  # that hold now
 
     def start(self, now: float) -> None:
         """Begin to measure the real-time factor at a wall time [s]."""
@@ -61,40 +60,32 @@ class Health:
             return
         self.start(now)
         self._log.check()
-        self.pass_on_warning()
-        self._check_surroundings()
+        self.warn()
         if self.outlet.wanted:
             pace = (simulator.steps - steps) * simulator.scene.step / (now - before)
             snapshot = self._loop.snapshot()
             self.outlet.send(serialize_message(self._message(snapshot, pace)), snapshot.step,
                              snapshot.nanoseconds)
 
-    def pass_on_warning(self) -> None:
-        """Write the simulator's warning to the node's output, if it is new."""
-        if self._simulator.warning != self._warned:
-            self._warned = self._simulator.warning
-            if self._warned:
-                self._node.get_logger().warning(self._warned)
-
-    def _check_surroundings(self):
-        """Find what is wrong with other nodes, and warn of what is new."""
+    def warn(self) -> None:
+        """Find what is wrong with the simulation and other nodes; print what is new."""
         node, gate = self._node, self._loop.gate
         silent = (gate.waits is Waiting.FIRST and not self._loop.paused
                   and self._commands.expected())
         self._silent_periods = self._silent_periods + 1 if silent else 0
         nodes = node.get_node_names_and_namespaces()
-        before, self._around = self._around, [text for text, holds in (
+        before, self._warnings = self._warnings, [text for text, holds in (
+            (self._simulator.warning, self._simulator.warning),
             (_TWO_CLOCKS, self._publishes_clock and node.count_publishers('/clock') > 1),
             (f'another node has the name {node.get_fully_qualified_name()}, or had it and was '
              'killed just now', nodes.count((node.get_name(), node.get_namespace())) > 1),
             (_SILENT, self._silent_periods >= _SILENCE)) if holds]
-        for text in self._around:
+        for text in self._warnings:
             if text not in before:
                 node.get_logger().warning(text)
 
     def _message(self, snapshot, pace):
         counters = self.counters()
-        error = self._simulator.estimated_error  # first, because this may set the warning
         grown = [name for name, count in counters.items() if count > self._before.get(name, 0)
                  and name != 'foreign_joints']  # no fault: a command may be for several robots
         self._before = counters
@@ -107,8 +98,7 @@ class Health:
             name=f'{self._node.get_fully_qualified_name().removeprefix("/")}: simulation',
             hardware_id='timo_sim', level=DiagnosticStatus.OK, message=state)
         errors = [self._loop.diverged, self._log.trouble]
-        warnings = [self._simulator.warning, *self._around,
-                    grown and 'more ' + ', '.join(grown),
+        warnings = [*self._warnings, grown and 'more ' + ', '.join(grown),
                     not {'overruns', 'dropped_time_s'}.isdisjoint(grown) and timing]
         for level, texts in ((DiagnosticStatus.WARN, warnings), (DiagnosticStatus.ERROR, errors)):
             if any(texts):
@@ -120,7 +110,7 @@ class Health:
             'real_time_factor': f'{pace:.4f}',
             'timing': timing,
             'energy_J': snapshot.energy,
-            'estimated_tip_error_m': f'{error:.2g}',
+            'estimated_tip_error_m': f'{self._simulator.estimated_error:.2g}',
             'estimated_deflection_error_m': f'{self._simulator.estimated_deflection_error:.2g}',
             'log': self._log.path or 'off',
             **counters}.items()]

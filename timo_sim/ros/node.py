@@ -158,7 +158,8 @@ class SimNode(ParameterNode):
     def _close(self):
         wall_time = time.monotonic() - self._opened
         error = self._simulator.estimated_error
-        self._health.pass_on_warning()
+        if self.context.ok():  # else there are no other nodes to ask for
+            self._health.warn()
         timing = self._loop.pace.report()
         report = f'simulated {self.steps * self._step:.6g} s in {wall_time:.3f} s; {timing}'
         self._log.complete({
