@@ -379,9 +379,8 @@ def replay(file: str, settings: tuple[str, ...], scene: str | None, output: str 
         timo_sim replay run.mcap
         timo_sim replay run.mcap --set model.modes=5 model.formulation=newton
 
-    A bag without ~/scene needs the scene. Its commands act from the first time step at or after
-    their stamp. Stamps are sim time if the bag has one of the node's topics with sim time in its
-    headers, else log time, counted from the first command, which acts at --start:
+    A bag without ~/scene, such as one of commands alone, needs the scene; doc/log.md says when its
+    commands act:
 
     \b
         timo_sim replay bag --scene my_scene.yaml --duration 20
