@@ -75,7 +75,7 @@ class Health:
         self._silent_periods = self._silent_periods + 1 if silent else 0
         nodes = node.get_node_names_and_namespaces()
         before, self._warnings = self._warnings, [text for text, holds in (
-            (self._simulator.warning, self._simulator.warning),
+            (self._simulator.warning or '', self._simulator.warning),
             (_TWO_CLOCKS, self._publishes_clock and node.count_publishers('/clock') > 1),
             (f'another node has the name {node.get_fully_qualified_name()}, or had it and was '
              'killed just now', nodes.count((node.get_name(), node.get_namespace())) > 1),
