@@ -41,7 +41,7 @@ class Health:
         self._reported = now, self._simulator.steps
 
     def counters(self) -> dict[str, float]:
-        """Return counters by name; all but `foreign_joints` grow only if something goes wrong."""
+        """Return counters by name, which grow only if something goes wrong."""
         pace = self._loop.pace
         return {
             'overruns': pace.overruns,
@@ -50,8 +50,7 @@ class Health:
             'stale_commands': self._commands.stale,
             'failed_calls': self.failed_calls,
             'missed_commands': self._loop.gate.missed,
-            'mismatched_commands': self._commands.count('mismatched'),
-            'foreign_joints': self._commands.count('foreign')}
+            'mismatched_commands': self._commands.count('mismatched')}
 
     def report(self, now: float) -> None:
         """Publish the health if a period is over at a wall time [s]."""
@@ -86,8 +85,7 @@ class Health:
 
     def _message(self, snapshot, pace):
         counters = self.counters()
-        grown = [name for name, count in counters.items() if count > self._before.get(name, 0)
-                 and name != 'foreign_joints']  # no fault: a command may be for several robots
+        grown = [name for name, count in counters.items() if count > self._before.get(name, 0)]
         self._before = counters
         timing = self._loop.pace.report()
         waits = not pace and self._loop.gate.waiting

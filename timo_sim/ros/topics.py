@@ -130,7 +130,7 @@ class Inlet:
 
     No executor serves it: the EventsExecutor's queue is unbounded, the middleware's is not.
     `pending` is the command that will act next, its row and its message, or None. Counted are
-    commands `refused` or, because they answer another state, `mismatched`, and `foreign` names.
+    commands `refused` or, because they answer another state, `mismatched`.
     """
 
     def __init__(self, node, command, frames):
@@ -142,7 +142,7 @@ class Inlet:
             self.type, command.name, lambda data: None, DEPTH, raw=True)
         self.channel = Channel(self.subscription.topic_name, command.type_name, command.name)
         self.pending = None
-        self.refused = self.mismatched = self.foreign = 0
+        self.refused = self.mismatched = 0
 
     def receive(self, data: bytes, answered: int | None) -> bool:
         """Make a message pending, unless it is refused; return whether it is now."""
@@ -162,10 +162,8 @@ class Inlet:
                 'with sync: wait a controller copies that of joint_states', once=True)
             return False
         names = texts[1:] if self.command.name == '~/joint_command' else []
-        foreign = [name for name in names if name not in JOINTS]
-        self.foreign += len(foreign)
-        if foreign and foreign == names:
-            self.logger.warning(f'no effect: {foreign[0][:40]!r} is none of {JOINTS}', once=True)
+        if names and {*names}.isdisjoint(JOINTS):
+            self.logger.warning(f'no effect: {names[0][:40]!r} is none of {JOINTS}', once=True)
         ignored = [_WRENCH[place] for place in self.command.unused if lists[0][place]]
         if ignored:
             self.logger.warning(f'no effect of {", ".join(ignored)}: the arm moves in a plane, '
@@ -192,7 +190,7 @@ class Commands:
         self._followed = {}
 
     def count(self, fault: str) -> int:
-        """Return the number of commands `refused` or `mismatched`, or `foreign` names in them."""
+        """Return the number of commands `refused` or `mismatched`."""
         return sum(getattr(inlet, fault) for inlet in self.inlets)
 
     def expected(self) -> bool:
