@@ -4,7 +4,7 @@
 """Read scenes from YAML files, ROS parameter files or values alone, given by path or name."""
 
 from collections.abc import Iterator, Mapping
-from contextlib import contextmanager, suppress
+from contextlib import contextmanager
 import errno
 import os
 from pathlib import Path
@@ -18,6 +18,7 @@ import yaml
 from timo_sim.scene.parameters import did_you_mean, ParameterError, PARAMETERS, short, stated
 
 _MAX_DEPTH = max(name.count('.') for name in PARAMETERS)
+_DEEPEST = 100  # lists and mappings of a file in each other
 # In a clone, config/ is beside the package. Once installed, it is in PREFIX/share/timo_sim, and
 # the package is in PREFIX/lib/python3.x/site-packages.
 _PARENTS = [*Path(__file__).resolve().parents[2:]]
@@ -171,46 +172,34 @@ def is_for(section: str, node: str) -> bool:
     return bool(re.fullmatch(pattern, node))
 
 
-class _Loader(yaml.SafeLoader):
-    """A loader that accepts only YAML which ROS and PyYAML read alike."""
-
-    def compose_node(self, parent: Any, index: Any) -> Any:
-        """Refuse aliases, which ROS does not know."""
-        if self.check_event(yaml.AliasEvent):
-            self._refuse('an alias, which ROS does not take', self.peek_event())
-        return super().compose_node(parent, index)
+class _Loader(getattr(yaml, 'CSafeLoader', yaml.SafeLoader)):  # type: ignore[misc]
+    """A loader by libyaml, as ROS has one, that accepts only what ROS reads alike."""
 
     def flatten_mapping(self, node: Any) -> None:
         """Refuse duplicate names, and merge keys, which ROS reads as ordinary names."""
         seen = set()
         for name, _ in node.value:
             if name.tag == 'tag:yaml.org,2002:merge':
-                self._refuse('a merge key, which ROS does not take', name)
+                _refuse('a merge key, which ROS does not take', name)
             if str(name.value) in seen:
-                self._refuse(f'{short(name.value, str)} is given twice', name)
+                _refuse(f'{short(name.value, str)} is given twice', name)
             seen.add(str(name.value))
 
-    @staticmethod
-    def _refuse(words, place):
-        raise yaml.constructor.ConstructorError(None, None, words, place.start_mark)
+
+def _check_events(content):
+    """Refuse aliases, which ROS does not know, and nesting that overflows the loader's stack."""
+    depth = 0
+    for event in yaml.parse(content, _Loader):
+        if isinstance(event, yaml.AliasEvent):
+            _refuse('an alias, which ROS does not take', event)
+        depth += isinstance(event, yaml.CollectionStartEvent)
+        depth -= isinstance(event, yaml.CollectionEndEvent)
+        if depth > _DEEPEST:
+            _refuse(f'more than {_DEEPEST} lists and mappings in each other', event)
 
 
-class _FastLoader(getattr(yaml, 'CSafeLoader', yaml.SafeLoader)):  # type: ignore[misc]
-    """The same by libyaml, if PyYAML has it, for text without `_ODD`, so without aliases."""
-
-    flatten_mapping, _refuse = _Loader.flatten_mapping, staticmethod(_Loader._refuse)
-
-
-# What libyaml reads otherwise than PyYAML, or would overflow the stack: deep nesting, of blocks by
-# long indentation or of more than _MOST_FLOWS lists and mappings in brackets.
-_ODD, _LONG, _MOST_FLOWS = [*'\0\t&?\ufeff', '>#', '|#'], 100, 200
-
-
-def _is_odd(text):
-    return (any(each in text for each in _ODD)
-            or any(len(line) >= _LONG and not line[:_LONG].strip(' :-')
-                   for line in text.splitlines())
-            or text.count('[') + text.count('{') > _MOST_FLOWS)
+def _refuse(words, place):
+    raise yaml.constructor.ConstructorError(None, None, words, place.start_mark)
 
 
 def read_yaml(path: Path | str) -> Any:
@@ -224,11 +213,8 @@ def read_yaml(path: Path | str) -> Any:
 
 def parse_yaml(content: bytes | str, source: Path | str) -> Any:
     """Return the content of YAML text or bytes, or raise ParameterError that names the source."""
-    text = content if isinstance(content, str) else content.decode('utf-8', 'replace')
-    if not _is_odd(text):
-        with suppress(Exception):  # the other loader says what is wrong
-            return yaml.load(content, _FastLoader)
     try:
+        _check_events(content)
         return yaml.load(content, _Loader)
     except (yaml.YAMLError, RecursionError, ValueError, LookupError, AttributeError) as error:
         # PyYAML raises errors of many types for a tag that does not suit its value.
