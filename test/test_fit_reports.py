@@ -176,6 +176,17 @@ def test_a_gauge_that_moves_against_the_run_as_nothing_else_does_has_the_wrong_s
     assert turned(Problem(guess, measured, ['arm.length'], {}, T[-1]), {}) == wrong
 
 
+def test_a_gauge_that_is_not_read_at_first_is_told():
+    t = 0.002 * np.arange(1001)
+    way = np.sin(3.0 * t)
+    problem = Problem(ARM, timo_sim.Record.of({'voltage': (t, way)}, {
+        'shaft': (t, way), 'root_strain': (t, np.where(t < 0.7, 0.0, 1e-4 * way))}),
+        ['arm.length'], {}, 2.0)
+    assert [line for line in look(problem, {}) if 'not yet read' in line and '0.7 s' in line]
+    problem.record.outputs['root_strain'].values[0] = 1e-6
+    assert not [line for line in look(problem, {}) if 'not yet read' in line]
+
+
 def test_what_pushes_to_one_side_is_not_chosen_where_the_arm_is_turned_to_one_side():
     t = np.linspace(0.0, 3.0, 301)
     one, both = (moves_one_way(Problem(ARM, timo_sim.Record.of(

@@ -20,7 +20,7 @@ from timo_sim.scene.scene import Scene
 from timo_sim.topics.commands import JOINTS
 
 GAUGES = 'root_strain', 'tip_acceleration'  # whose gains are known roughly
-_SURE = 0.5  # correlation with the run of the first guess that tells a sign
+_SURE, _DEAD = 0.5, 0.1  # correlation that tells a sign; of a range, in which a gauge is not still
 _FIRST, _STILL = 15, 5.0  # samples at the beginning; deviations of noise up to which one is still
 _ELSEWHERE, _FAST = 0.02, 0.3  # of range and usual speed: from there on it begins otherwise
 _GAP = 1.8  # periods from one sample to the next that are a gap
@@ -86,6 +86,12 @@ def look(problem: Problem, values: Mapping[str, float]) -> Iterator[str]:
                  for each in record.inputs.values()), default=0.0)
     for name, channel in {**record.inputs, **record.outputs}.items():
         yield from _of_channel(name, channel, start if name in record.outputs else None)
+    for name, (t, shown, *_) in record.outputs.items():
+        alive = t[np.argmax(shown != shown[0])]
+        if name in GAUGES and any(np.ptp(each.values[each.t < alive]) > _DEAD * np.ptp(each.values)
+                                  for each in record.outputs.values() if each.t[0] < alive):
+            yield (f'{name} stands still until {alive:.3g} s, while the arm is turned: it was not '
+                   f'yet read; let the record begin there (start: {alive:.3g})')
     predicted = problem.predicted(values, problem.until)
     for name, measured in problem.measurements(problem.until).items():
         if np.ptp(measured) and np.ptp(predicted[name]):
@@ -95,11 +101,12 @@ def look(problem: Problem, values: Mapping[str, float]) -> Iterator[str]:
 
 def turned(problem: Problem, values: Mapping[str, float]) -> list[str]:
     """Return gauges that move against the run with values by name, where all else goes with it."""
-    shown, seen = (each(problem.until) for each in (
-        lambda end: problem.predicted(values, end), problem.measurements))
-    like = {name: float(np.corrcoef(seen[name], shown[name])[0, 1]) for name in seen
-            if np.ptp(seen[name]) and np.ptp(shown[name])}
-    sure = [like[name] > _SURE for name in like if name not in GAUGES]
+    if isinstance(problem.record, Response):
+        return []
+    shown = problem.predicted(values, problem.until)
+    like = {name: np.corrcoef(each, shown[name])[0, 1] for name, each in problem.measurements(
+        problem.until).items() if np.ptp(each) and np.ptp(shown[name])}
+    sure = [each > _SURE for name, each in like.items() if name not in GAUGES]
     return [name for name in GAUGES if like.get(name, 0.0) < -_SURE and sure and all(sure)]
 
 

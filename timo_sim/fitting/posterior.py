@@ -95,8 +95,7 @@ class Posterior:
         """
         Return the 95 % intervals, in coordinates, that are not quadratic, by place.
 
-        At the ends of a quadratic interval the squares rise as they should, within a factor. Where
-        they do not, or at a bound, other parameters are fitted with this one held.
+        Others are fitted with one held where squares do not rise as they should, or at a bound.
         """
         found = {}
         for k in places:

@@ -144,11 +144,10 @@ class Fit(Prediction):
         Whether the residuals are white; else the model lacks something, and intervals are wider.
     warnings : list of str
     starts : int
-        How many starts were tried.
     others : list of dict
         Other sets of values, by name, with which the records are fitted as well.
     more : list of Prediction
-        Of further records, with those that were held out at the end.
+        Of further records, held-out ones last.
     posterior : Posterior
     suspects : list of Suspect
         What the scene may lack, that of the largest share of the squares first.
@@ -326,7 +325,7 @@ def fit(scene: SceneLike | None, record: RecordLike | Sequence[RecordLike],
         Its values of the free parameters are first guesses. None: the scene of a log of the node.
     record : Record, str or Path, or a list of them
         A Record; a log or bag of the node; or a table: CSV or other text, Parquet, MAT. Several
-        share parameters, but for biases, an initial state and deviations of sensors of their own.
+        share parameters, but for biases, an initial state and deviations of sensors.
     free : sequence of str
         Names of parameters of the scene that are numbers, with [k] for an element of a list;
         QUANTITY.gain, .bias, .delay or .lag of an input or output of the record, such as
@@ -344,8 +343,7 @@ def fit(scene: SceneLike | None, record: RecordLike | Sequence[RecordLike],
         Which column of a table is which quantity, see doc/fit.md; or a list with one for each
         record, those that are held out at the end.
     starts : int, optional
-        Of the search: the scene's values, and points around them. By default up to 16, until the
-        minimum is good or found again.
+        The scene's values, and points around them; by default up to 16, until one is good.
     hold_out_records : list of Record, str or Path
         They are predicted, not fitted, without biases and with the scene's initial state.
     tell : function(str), optional
@@ -418,7 +416,7 @@ def fit(scene: SceneLike | None, record: RecordLike | Sequence[RecordLike],
     wrong = turned(objective.problems[0], objective.values(objective.start, 0)) if plainly else []
     if wrong:
         measured, held = ([replace(each, outputs={
-            name: channel._replace(values=-channel.values) if name in wrong else channel
+            name: channel._replace(values=(-1.0)**(name in wrong) * channel.values)
             for name, channel in each.outputs.items()}) for each in some]
             for some in (measured, held))
         objective = objective_of(start, free)

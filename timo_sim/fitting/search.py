@@ -256,11 +256,7 @@ class Search:
         return root[:, np.newaxis] * self.objective.jacobian(x, _WIDE, False), root * rows
 
     def derivatives(self) -> tuple[np.ndarray, list[str]]:
-        """
-        Return the weighted derivatives of all residuals at the end, (n, p), and jumps.
-
-        `jumps` names parameters on which runs depend in jumps.
-        """
+        """Return the weighted derivatives of all residuals at the end, (n, p), and what jumps."""
         objective, x = self.objective, self.x
         jacobian, wide = (objective.jacobian(x, step) for step in (CENTRAL, _WIDE))
         size, other = np.linalg.norm(jacobian, axis=0), np.linalg.norm(wide, axis=0)
