@@ -3,6 +3,7 @@
 
 """Fits of scenes to records: truth recovered, inputs, sensors, doubts."""
 
+import math
 import re
 
 import numpy as np
@@ -15,6 +16,7 @@ import timo_sim
 from timo_sim.fitting.objective import times_of_motion
 from timo_sim.fitting.record import Channel, OUTPUTS
 from timo_sim.fitting.problem import covariance, loads_of, Problem, whiteness
+from timo_sim.fitting.search import Search
 from timo_sim.model.layout import AFTER, TORQUE
 
 ARM = {'carrier.held': 'both', 'arm.length': 0.42, 'arm.section.height': 0.001,
@@ -429,6 +431,22 @@ def test_a_fit_whose_time_is_up_has_the_best_so_far():
     assert found.stopped and 'best so far' in found.report() and 'best so far' in repr(found)
     with pytest.raises(timo_sim.ParameterError, match='must have intervals'):
         found.sample(3)
+
+
+def test_a_fit_whose_time_is_up_while_intervals_are_found_has_all_but_them(monkeypatch):
+    def late(search, find=Search.derivatives):
+        search.objective.residuals(0.9 * search.x)
+        search.set_deadline(-math.inf)
+        return find(search)
+    monkeypatch.setattr(Search, 'derivatives', late)
+    monkeypatch.setattr('timo_sim.fitting.problem._MAX_KEPT', 0)  # the last run alone is kept
+    record = noisy(predicted({**ARM, **MOTOR}, {'voltage': (T, VOLTAGE)}, ['shaft']),
+                   {'shaft': 1e-4})
+    guess = {**ARM, **MOTOR, 'motor.viscous_friction': 0.02}
+    with pytest.warns(timo_sim.ModelWarning, match='intervals are not known: its time was up'):
+        found = timo_sim.fit(guess, record, ['motor.viscous_friction'], time=100.0, quick=True)
+    assert found.values['motor.viscous_friction'] == pytest.approx(0.01, rel=0.01)
+    assert found.errors['shaft'].rms < 2e-4
 
 
 @pytest.mark.parametrize('phase, told', [

@@ -442,13 +442,11 @@ def fit(scene: SceneLike | None, record: RecordLike | Sequence[RecordLike],
     if time:
         search.set_deadline(end - min(_KEPT * time, run * _RUNS_AFTER * count))
     search.run(starts)
-    phases = _Phases(search, say)
-    search.set_deadline(end)
+    phases = _Phases(search, say, end)
     known = _find_intervals(search, phases, quick)
     seconds = monotonic() - begun
     phases.doubts += _find_doubts(
         known.estimates, objective.problems[0], objective.values(search.x, 0))
-    search.set_deadline(math.inf)
     say('one run of each record, and one with more modes and half the step')
     shared = {free.name: free.value(at) for free, at in zip(objective.free, search.x)}
     every = [(problem, objective.values(search.x, k)) for k, problem in enumerate(
@@ -456,7 +454,6 @@ def fit(scene: SceneLike | None, record: RecordLike | Sequence[RecordLike],
                                 for problem in others]
     predictions = [_predict(problem, values, phases, f' (record {k})' * (len(every) > 1))
                    for k, (problem, values) in enumerate(every, 1)]
-    search.set_deadline(end)
     likely = []
     if known.posterior and not quick and not known.white and not any(
             isinstance(each, Response) for each in measured) and any(
@@ -542,9 +539,15 @@ def _find_intervals(search, phases, quick):
 
 
 class _Phases:
-    """What follows a search, in phases that may fail or be stopped without loss of the others."""
+    """
+    What follows a search, in phases that may fail or be stopped without loss of the others.
 
-    def __init__(self, search: Search, say: Callable[[str], None]) -> None:
+    At `end`, a time of `time.monotonic`, a phase is stopped that is not needed; what lies between
+    phases is never.
+    """
+
+    def __init__(self, search: Search, say: Callable[[str], None], end: float) -> None:
+        self._search, self._end = search, end
         self._over, self._say = search.interrupted, say
         self.doubts = ['these are the best values so far, since the search was stopped: '
                        + search.stopped] if search.stopped else []
@@ -557,11 +560,14 @@ class _Phases:
             try:
                 if text:
                     self._say(text)
+                self._search.set_deadline(math.inf if needed else self._end)
                 return function()
             except KeyboardInterrupt as stop:
                 self._over, reason = True, str(stop) or INTERRUPTED
             except (ArithmeticError, ValueError) as error:  # of parameters, of linear algebra
                 reason = str(error)
+            finally:
+                self._search.set_deadline(math.inf)
         self.doubts.append(f'{what} not known: {reason}')
         return otherwise
 
