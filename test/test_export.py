@@ -147,7 +147,8 @@ def compare(scene, program, calls=30):
         wanted.append([along - now.model.tip_point.lever[0], across,
                        *place(*now.joint_positions, along, across),
                        now.joint_positions[2] + rotation, seen.gyro, seen.encoder, seen.rotor,
-                       *seen.tip_acceleration, seen.root_strain, *now.effort, now.energy])
+                       *seen.tip_acceleration, seen.root_strain, *now.effort, now.energy,
+                       now.joint_positions[2] + now.model.seen.tip(now.motion)[2]])
     found = run_program(program, lines)
     state, output = np.array(found[0::2]), np.array(found[1::2])
     modes = len(simulator.model.modes)
@@ -155,7 +156,7 @@ def compare(scene, program, calls=30):
     order = [1, 2, 3, *range(MODAL, MODAL + modes), 4, 5, 6,
              *range(MODAL + modes, MODAL + 2 * modes)]
     np.testing.assert_allclose(output[-1, 0], simulator.t, rtol=1e-15)
-    read = [10, 11, 7, 8, 9, *range(12, 22)]
+    read = [10, 11, 7, 8, 9, *range(12, 22), MODAL + 2 * modes]
     return (state[:, SAVED:], output[:, order], output[:, read],
             np.array(states), np.array(motions), np.array(wanted))
 
@@ -211,7 +212,7 @@ def test_bits(name, tmp_path):
     np.testing.assert_array_equal(outputs[:, :2], wanted[:, :2])
     size = np.maximum(np.abs(wanted).max(axis=0), 1e-9)  # some are zero
     off = np.abs(outputs - wanted).max(axis=0) / size
-    assert off[[2, 3, 4, 5, 6, 7, 14]].max() < 1e-13 and off.max() < 1e-6
+    assert off[[2, 3, 4, 5, 6, 7, 14, 15]].max() < 1e-13 and off.max() < 1e-6
     if scene.values['hub.radius']:
         compare_shapes(scene, program)
     if differentiated:

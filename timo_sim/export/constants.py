@@ -100,7 +100,8 @@ def interface_of(scene: Scene, estimate: bool) -> Interface:
         Quantity('shaft_torque', 'N m', 'torque of loads, of what holds or drives it if not free'),
         Quantity('energy', 'J', 'kinetic plus strain energy and the potential of gravity'),
         *(Quantity(f'mode_{n}', 'm sqrt(kg)', 'modal coordinate') for n in modes),
-        *(Quantity(f'mode_{n}_rate', 'm sqrt(kg)/s', 'its rate') for n in modes)]
+        *(Quantity(f'mode_{n}_rate', 'm sqrt(kg)/s', 'its rate') for n in modes),
+        Quantity('imu_rotation', 'rad', 'rotation in the world where the IMU is')]
     if estimate:
         outputs.append(Quantity('estimated_tip_error', 'm', 'largest distance so far from the tip '
                                 'of a finer run; NaN if that diverged'))

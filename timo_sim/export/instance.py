@@ -322,17 +322,19 @@ def set_outputs(plant, root, instance):
         out[7 + k] = instance.place[k]
     out[10] = instance.tip[0] - plant.length
     out[11] = instance.tip[1]
-    turning = motion[half + 2]
+    turn, turning = motion[2], motion[half + 2]
     modes = len(plant.travel)
     for k in range(modes):
+        turn += plant.imu_rotation[k] * motion[3 + k]
         turning += plant.imu_rotation[k] * motion[half + 3 + k]
         out[MODAL + k] = motion[3 + k]
         out[MODAL + modes + k] = motion[half + 3 + k]
     out[12] = turning
     out[13] = motion[2]
     out[14] = rotor_turn(root, motion, 0)
-    if MODAL + 2 * modes < len(out):
-        out[MODAL + 2 * modes] = instance.error[0]
+    out[MODAL + 2 * modes] = turn
+    if MODAL + 2 * modes + 1 < len(out):
+        out[MODAL + 2 * modes + 1] = instance.error[0]
     instance.mark[KNOWN] = 1
     return _OK
 

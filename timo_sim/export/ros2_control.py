@@ -94,15 +94,16 @@ def _commands(scene):
 
 def _sensors(scene):
     """Return outputs and constants by sensor and state interface, named as for broadcasters."""
-    turned = {'orientation.x': 0.0, 'orientation.y': 0.0,
-              'orientation.z': 'sin_half(tip_rotation)', 'orientation.w': 'cos_half(tip_rotation)'}
+    of_tip, of_imu = ({
+        'orientation.x': 0.0, 'orientation.y': 0.0, 'orientation.z': f'sin_half({place}_rotation)',
+        'orientation.w': f'cos_half({place}_rotation)'} for place in ('tip', 'imu'))
     return {
         'root': {'strain': 'root_strain'}, 'encoder': {'position': 'encoder'},
         **({'rotor': {'position': 'rotor'}} if scene.manipulator.gear else {}),
         'tip': {'axial': 'tip_axial', 'transverse': 'tip_transverse', 'rotation': 'tip_rotation'},
-        'tip_pose': {'position.x': 'tip_x', 'position.y': 'tip_y', 'position.z': 0.0, **turned},
+        'tip_pose': {'position.x': 'tip_x', 'position.y': 'tip_y', 'position.z': 0.0, **of_tip},
         'tip_imu': {
-            **turned, 'angular_velocity.x': 0.0, 'angular_velocity.y': 0.0,
+            **of_imu, 'angular_velocity.x': 0.0, 'angular_velocity.y': 0.0,
             'angular_velocity.z': 'tip_turning', 'linear_acceleration.x': 'tip_acceleration_x',
             'linear_acceleration.y': 'tip_acceleration_y',
             'linear_acceleration.z': gravity_along_z(math.hypot(*scene.values['gravity']))}}

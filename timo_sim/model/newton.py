@@ -167,12 +167,10 @@ class Newton(Formulation):
             spring[0, 2:] = turned[0], -laws.shear_row @ turned
             linear[half + axes:, axes] += turned - linear_beta * response * spring[0, 3]
         tables = Tables(
-            base_mass=base_mass, arm_mass=self.arm_mass, first_moment=self.first_moment,
-            inverse=inverse, coupling=laws.matrix[:, 0], response=response,
-            mass_across=mass_across, shaft_per_stress=per_stress[0],
-            shear_per_stress=shear_per_stress, linear_beta=linear_beta, softening=laws.softening,
-            shear_row=laws.shear_row, shear_softening=laws.shear_softening, axial=laws.axial,
-            stiffness=stiffness, damping=damping,
+            **self._of_masses(laws), base_mass=base_mass, inverse=inverse,
+            coupling=laws.matrix[:, 0], response=response, mass_across=mass_across,
+            shaft_per_stress=per_stress[0], shear_per_stress=shear_per_stress,
+            linear_beta=linear_beta, stiffness=stiffness, damping=damping,
             viscous_friction=np.array(
                 [self.manipulator.carrier_friction, self.manipulator.shaft_friction]),
             coulomb=np.array(self.manipulator.coulomb),
@@ -184,11 +182,8 @@ class Newton(Formulation):
             push_deflection=self.push_point.deflection.T if self.push_point else (
                 np.empty((0, len(stiffness)))),
             gear=gear, rotor_drag=drag, spring=spring, inertia=turning_mass[0, 0],
-            shear_mass=laws.shear_mass, shaft_row=laws.matrix[0], shaft_column=laws.column[0],
-            shaft_stress=laws.stress[0], shear_stress=laws.shear_stress,
-            moments=self.modal_moments,
-            about_root=turning_mass[0, 1:], deflection_mass=self.deflection_mass,
-            modal_mass=turning_mass[1:, 1:])
+            moments=self.modal_moments, about_root=turning_mass[0, 1:],
+            deflection_mass=self.deflection_mass, modal_mass=turning_mass[1:, 1:])
         return tables, linear
 
     def tables_at(self, tip: Points) -> Any:
@@ -198,13 +193,14 @@ class Newton(Formulation):
 
     def tables_of_masses(self) -> Any:
         """Return the tables with other masses at other points, of an arm without a base."""
-        laws = Newton.laws(self)
-        return self.tables._replace(
-            base_mass=0.0, arm_mass=self.arm_mass, first_moment=self.first_moment,
-            softening=laws.softening, shear_row=laws.shear_row, axial=laws.axial,
-            shear_softening=laws.shear_softening, shear_mass=laws.shear_mass,
-            shaft_row=laws.matrix[0], shaft_column=laws.column[0], shaft_stress=laws.stress[0],
-            shear_stress=laws.shear_stress)
+        return self.tables._replace(**self._of_masses(Newton.laws(self)), base_mass=0.0)
+
+    def _of_masses(self, laws):
+        return {'arm_mass': self.arm_mass, 'first_moment': self.first_moment,
+                'softening': laws.softening, 'shear_row': laws.shear_row, 'axial': laws.axial,
+                'shear_mass': laws.shear_mass, 'shear_softening': laws.shear_softening,
+                'shaft_row': laws.matrix[0], 'shaft_column': laws.column[0],
+                'shaft_stress': laws.stress[0], 'shear_stress': laws.shear_stress}
 
     @cached_property
     def _tension(self):
