@@ -8,6 +8,7 @@ from __future__ import annotations
 from collections.abc import Mapping
 import math
 from pathlib import Path
+from string import Template
 from tempfile import TemporaryDirectory
 from typing import Any
 from xml.etree import ElementTree
@@ -22,25 +23,6 @@ from timo_sim.scene.scene import Scene
 from timo_sim.topics.cdr import form, Number
 from timo_sim.topics.commands import JOINTS
 from timo_sim.topics.outputs import gravity_along_z, in_frames
-
-_C = """\
-#include <stdint.h>
-static const struct field { int place, number; } fields[] = {%s};
-static const unsigned char head[] = {%s}, data[] = {%s};
-static const struct message {
-    int channel, commanded, size, stamp;
-    const unsigned char *data;
-    int count;
-    const struct field *fields;
-} messages[] = {%s};
-const struct {
-    double step;
-    const unsigned char *head;
-    int64_t head_size;
-    int count;
-    const struct message *messages;
-} arm_scene = {%r, head, sizeof head, %d, messages};
-"""
 
 
 def write_hardware(scene: Scene, values: Mapping[str, Any],
@@ -156,5 +138,7 @@ def _scene_in_c(scene, values, folder):
         fields += [f'{{{layout.doubles[place]}, {numbers.index(title)}}}'
                    for place, title in zip(places, titles, strict=True)]
         data += message
-    return _C % (', '.join(fields), ','.join(map(str, head)), ','.join(map(str, data)),
-                 ', '.join(messages), scene.step, len(messages))
+    template = Template(Path(__file__).with_name('scene.c').read_text(encoding='utf-8'))
+    return template.substitute(
+        fields=', '.join(fields), head=','.join(map(str, head)), data=','.join(map(str, data)),
+        messages=', '.join(messages), step=repr(scene.step), count=len(messages))
