@@ -138,7 +138,7 @@ def _scene_in_c(scene, values, folder):
         fields += [f'{{{layout.doubles[place]}, {numbers.index(title)}}}'
                    for place, title in zip(places, titles, strict=True)]
         data += message
-    template = Template(Path(__file__).with_name('scene.c').read_text(encoding='utf-8'))
-    return template.substitute(
+    source = Template(Path(__file__).with_name('scene.c').read_text(encoding='utf-8'))
+    return source.substitute(
         fields=', '.join(fields), head=','.join(map(str, head)), data=','.join(map(str, data)),
         messages=', '.join(messages), step=repr(scene.step), count=len(messages))
