@@ -206,7 +206,12 @@ def _standing(s, xi):
 
 @strict
 def _waves(arm, omega, xi):
-    """Return g, G, s of the four waves, and nu."""
+    """
+    Return deflection, rotation, curvature and shear strain of the four waves.
+
+    The last is computed as -nu G, since the difference W' - Phi would lose seven digits on a
+    slender arm.
+    """
     first, second, nu = _wave_numbers(arm, omega)
     g_0, integral_0, g_1, integral_1 = _standing(first, xi)
     if second * arm.length * arm.length > 1.0:
@@ -215,8 +220,10 @@ def _waves(arm, omega, xi):
         integral_2, integral_3 = -g_2 / beta, g_3 / beta
     else:
         g_2, integral_2, g_3, integral_3 = _standing(second, xi)
-    return ((g_0, g_1, g_2, g_3), (integral_0, integral_1, integral_2, integral_3),
-            (first, first, second, second), nu)
+    deflection, integral = (g_0, g_1, g_2, g_3), (integral_0, integral_1, integral_2, integral_3)
+    factors = (first + nu, first + nu, second + nu, second + nu)
+    return (deflection, _scaled(integral, factors), _scaled(deflection, factors),
+            _scaled(integral, (-nu, -nu, -nu, -nu)))
 
 
 @strict
@@ -248,10 +255,8 @@ def _scaled(row, factors):
 @strict
 def _at_root(arm, omega):
     """Return deflection, rotation, that against a clamp which gives, and curvature at the root."""
-    g, integral, s, nu = _waves(arm, omega, 0.0)
-    sums = (s[0] + nu, s[1] + nu, s[2] + nu, s[3] + nu)
-    rotation, curvature = _scaled(integral, sums), _scaled(g, sums)
-    return g, rotation, _plus(rotation, -arm.root, curvature), curvature
+    deflection, rotation, curvature, _ = _waves(arm, omega, 0.0)
+    return deflection, rotation, _plus(rotation, -arm.root, curvature), curvature
 
 
 @strict
@@ -261,16 +266,13 @@ def _at_tip(arm, omega):
 
     The last two are the balances of force and moment with the end effector, over stiffnesses.
     """
-    g, integral, s, nu = _waves(arm, omega, arm.length)
-    sums, square = (s[0] + nu, s[1] + nu, s[2] + nu, s[3] + nu), omega * omega
-    rotation, curvature = _scaled(integral, sums), _scaled(g, sums)
-    centre = _plus(g, arm.end_effector_offset, rotation)
-    force = _plus(_scaled(integral, (-nu, -nu, -nu, -nu)),
-                  -arm.end_effector_mass * square / arm.shear_stiffness, centre)
+    deflection, rotation, curvature, shear = _waves(arm, omega, arm.length)
+    centre, square = _plus(deflection, arm.end_effector_offset, rotation), omega * omega
+    force = _plus(shear, -arm.end_effector_mass * square / arm.shear_stiffness, centre)
     moment = _plus(curvature, -arm.end_effector_inertia * square / arm.bending_stiffness, rotation)
     moment = _plus(moment, -arm.end_effector_mass * arm.end_effector_offset * square
                    / arm.bending_stiffness, centre)
-    return g, rotation, curvature, force, moment
+    return deflection, rotation, curvature, force, moment
 
 
 @strict
@@ -338,27 +340,17 @@ def _set_shape(arm, omega, shape):
 
 
 @strict
-def _deflections(arm, omega, shape, xi):
-    """Return deflection and rotation of a mode at a point."""
-    g, integral, s, nu = _waves(arm, omega, xi)
-    return _dot(shape, g), _dot(shape, _scaled(integral, (
-        s[0] + nu, s[1] + nu, s[2] + nu, s[3] + nu)))
-
-
-@strict
 def _modal_mass(arm, omega, shape, spans, nodes, weights):
     """Return the modal mass of a mode (T3), by a Gauss rule in each of equal spans of the arm."""
-    deflection, rotation = _deflections(arm, omega, shape, arm.length)
-    total = arm.end_effector_mass * _square(
-        deflection + arm.end_effector_offset * rotation) + (
-            arm.end_effector_inertia * _square(rotation))
-    half = 0.5 * arm.length / spans
+    waves, half = _waves(arm, omega, arm.length), 0.5 * arm.length / spans
+    centre = _plus(waves[0], arm.end_effector_offset, waves[1])
+    total = (arm.end_effector_mass * _square(_dot(shape, centre))
+             + arm.end_effector_inertia * _square(_dot(shape, waves[1])))
     for span in range(spans):
         for i in range(_NODES):
-            deflection, rotation = _deflections(
-                arm, omega, shape, half * (2 * span + 1 + nodes[i]))
+            waves = _waves(arm, omega, half * (2 * span + 1 + nodes[i]))
             total += half * weights[i] * arm.mass_per_length * (
-                _square(deflection) + arm.radius2 * _square(rotation))
+                _square(_dot(shape, waves[0])) + arm.radius2 * _square(_dot(shape, waves[1])))
     return total
 
 
@@ -409,21 +401,13 @@ def set_fields(arm, omega, count, shape, xi, points, out):
     """
     Write the fields of `count` modes at points [m], as rows of `out`, those of a point together.
 
-    They are deflection, rotation, curvature and shear strain. The last is computed as -nu G, since
-    the difference W' - Phi would lose seven digits on a slender arm. `shape` has the share of each
-    wave in each mode.
+    They are those of `_waves`; `shape` has the share of each wave in each mode.
     """
     for n in range(count):
         for i in range(points):
-            row = i * count + n
+            waves = _waves(arm, omega[n], xi[i])
             for field in range(4):
-                out[row, field] = 0.0
-            g, integral, s, nu = _waves(arm, omega[n], xi[i])
-            for j in range(4):
-                out[row, 0] += shape[n, j] * g[j]
-                out[row, 1] += shape[n, j] * (s[j] + nu) * integral[j]
-                out[row, 2] += shape[n, j] * (s[j] + nu) * g[j]
-                out[row, 3] -= shape[n, j] * nu * integral[j]
+                out[i * count + n, field] = _dot(shape[n], waves[field])
 
 
 class StrainModes(Modes):
