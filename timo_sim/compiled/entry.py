@@ -41,9 +41,7 @@ class EntryPoint(Function):
 
         `any_size` is slower code that serves all sizes, and differs in round-off.
         """
-        code, wanted, places = self._code_for(constants, any_size)
-        return Call(entry=self, any_size=any_size, code=code, wanted=wanted, sizes=places,
-                    constants=constants)
+        return Call(self, any_size, constants, *self._code_for(constants, any_size))
 
     def _code_for(self, constants, any_size):
         """Return the code, what passes its arguments, see `_wanted`, and what passes sizes."""
@@ -94,8 +92,8 @@ _NONE = object()  # is no argument
 class Call:
     """A function of machine code with its constants; called with the other arguments."""
 
-    def __init__(self, entry: EntryPoint, any_size: bool, code: Any, wanted: list[Any],
-                 sizes: list[Any], constants: tuple[Packed, ...]) -> None:
+    def __init__(self, entry: EntryPoint, any_size: bool, constants: tuple[Packed, ...],
+                 code: Any, wanted: list[Any], sizes: list[Any]) -> None:
         self._entry, self._code, self._wanted, self._constants = entry, code, wanted, constants
         self._any_size = any_size
         self._places = sizes + [each.place for each in constants]
