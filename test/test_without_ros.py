@@ -53,7 +53,7 @@ COMMANDS = {
     'replay paper.mcap': 'all are the same to the last bit',
     'replay paper.mcap --set end_effector.mass=3': 'new log: paper_replay.mcap',
     'export paper_replay.mcap -o out.csv': 'rows',
-    'info paper_replay.mcap': 'sim time    0 to 1 s',
+    'info paper_replay.mcap': 'sim time  0 to 1 s',
     'simulate paper --duration 0.1 -o run.parquet': 'no warnings'}
 
 

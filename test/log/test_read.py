@@ -408,7 +408,7 @@ def test_samples_after_a_reset_are_joined_with_those_after_it():
 def test_info_describes_the_run(log):
     text = call('info', log)
     for words in ('log of /left/timo_sim', 'load.torque.harmonic.frequency = [4.0]', 'numpy ',
-                  'sim time    0 to 2 s', 'refused_commands 0', 'resets      none'):
+                  'sim time  0 to 2 s', 'refused_commands 0', 'resets    none'):
         assert words in text
     rows = {words[0]: words[1:] for words in map(str.split, text.splitlines()) if words}
     assert rows['/left/timo_sim/tip_pose'] == ['401', '200', 'Hz']

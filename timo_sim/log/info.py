@@ -34,10 +34,10 @@ def _about_run(log, notes):
             'resets': [f'{len(resets)}, at steps {str(resets[:8])[1:-1]}' if resets else 'none'],
             'set later': [f'at step {step}: {name} = {json.dumps(value)}'
                           for step, _, values in changes for name, value in values.items()][:20],
-            'at the end': [f'{name} {value}' for name, value in summary.items()]
+            'counted': [f'{name} {value}' for name, value in summary.items()]
             or ['not known: the node did not write its summary']}.items():
         for line in lines:
-            yield f'  {title:<12}{line}'
+            yield f'  {title:<10}{line}'
             title = ''
 
 
