@@ -234,7 +234,7 @@ def test_no_interval_is_printed_where_the_model_lacks_much():
     assert any('as far off as what was fitted' in each for each in found.warnings)
     each = found.errors['shaft']
     assert found.report().endswith(found.verdict) and found.verdict.startswith(
-        f'predicts what was held out within {each.hold_out_rms:.2g} rad of shaft (')
+        f'predicts what was held out with rms errors of {each.hold_out_rms:.2g} rad of shaft (')
 
 
 def test_the_stiffness_that_a_resonance_would_need_is_told():

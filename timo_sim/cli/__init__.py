@@ -496,7 +496,8 @@ def sweep(file: str, output: str | None, workers: int | None, scheduler: str | N
 @click.option('--quick', is_flag=True, help=(
     'End with the search: no intervals by profile and no suspects, which can take longer.'))
 @click.option('--time', type=float, metavar='SECONDS', help=(
-    'Most that the fit may take: the search then ends with the best so far.'))
+    'Wall time after which the search ends with the best so far, and time for intervals is left; '
+    'on a busy machine they may be missing.'))
 @click.option('--auto', is_flag=True, help=(
     'Choose the effects, too: each is tried in turn, from the plain arm or from what --free '
     'names, and kept if it predicts better what is held out of the fitted part for that.'))

@@ -128,5 +128,6 @@ def choose(scene: Scene, free: list[str], objective_of: Callable[[Scene, list[st
                              interrupted=not isinstance(stop, TimeIsUp))
     except (ArithmeticError, ParameterError) as error:
         best, reason = sure, str(error)
-    say(line := f'no more effects were tried: {reason}')
+    tried = 'no more effects were' if best.ladder else 'no effect was'
+    say(line := f'{tried} tried: {reason}')
     return best._replace(ladder=[*best.ladder, line])

@@ -46,6 +46,8 @@ _MIN_SAMPLES = 10  # samples of a part whose errors are worth a number
 _MAX_NOISE_RATIO = 2.0  # ratio of a residual to the known noise, above which there is a warning
 _NARROWED = 0.5  # part of the width of a guess that a record leaves, above which it tells nothing
 _WORSE, _POOR = 3.0, 0.9  # ratio of errors held out and fitted, and R^2, that are warned of
+_USELESS = 0.5  # R^2 of what was held out that is warned of, however good the fit is
+_FAR_START = 0.05  # the same of a first angle off the first sample, of the range
 _FAR = 10.0  # ratio of an estimate to its first guess, above which there is a warning
 _RUNS, _RUNS_AFTER = 30, 6  # of a fit, and after its search, for each free parameter, roughly
 _KEPT = 0.5  # most of the time of a fit that is kept for these
@@ -245,11 +247,12 @@ class Fit(Prediction):
     @property
     def verdict(self) -> str:
         """How well the fit predicts what was held out, in a sentence."""
-        parts = [f'{each.hold_out_rms:.2g} {unit_of(name)} of {name} ({share:.1%} of its range)'
+        parts = [f'{each.hold_out_rms:.2g}{f" {unit_of(name)}".rstrip()} of {name} '
+                 f'({100.0 * share:.2g} % of its range)'
                  for part in (self, *self.more) for name, each in part.errors.items()
                  if math.isfinite(share := each.hold_out_rms / (
                      np.ptp(part.record.outputs[name].values) or math.nan))]
-        return ('predicts what was held out within ' + ', '.join(parts) if parts else
+        return ('predicts what was held out with rms errors of ' + ', '.join(parts) if parts else
                 'nothing was held out, so nothing says how well it predicts')
 
     @property
@@ -428,7 +431,9 @@ def fit(scene: SceneLike | None, record: RecordLike | Sequence[RecordLike],
     if tell or time:
         run, count = _measure(objective), len(objective.free)
         say(f'a run of the records takes {run:.2g} s, a fit of {count} parameters from one start '
-            f'some {_RUNS * count * run:.2g} s, or ten times that if the model lacks something')
+            f'some {_RUNS * count * run:.2g} s, or ten times that if the model lacks something'
+            + f', then some {_RUNS_AFTER * count * run:.2g} s for intervals and suspects' * (
+                not quick))
         say('\n  '.join(['before the search:', *seen]))
     choice, first = None, {}
     if auto:
@@ -646,6 +651,9 @@ def _predict(problem, values, phases, place):
                 f'what was held out of {name} is {late / rms:.2g} times as far off as what was '
                 f'fitted (R^2 {predicts:.3f}): this scene fits the record, and does not predict '
                 f'another: hold fewer parameters free, or fit a record of more motion{place}')
+        elif predicts < _USELESS:
+            phases.doubts.append(f'what was held out of {name} is not predicted: R^2 is '
+                                 f'{predicts:.3g}, and 0 is that of its mean{place}')
         apart = float(np.sqrt(np.mean((again[name] - predicted[name])**2))) if again else 0.0
         most = rms if problem.until else late
         if apart > _MAX_NUMERICAL * most:
@@ -673,8 +681,16 @@ def _find_doubts(estimates, problem, values):
                'rough, look at unit and scale of the columns')
     lost = [name for name, each in estimates.items() if math.isnan(each.value)]
     if lost:
-        yield (f'{", ".join(lost)} cannot be identified from this record: fix some of them, or '
-               'record more outputs or another motion')
+        yield (f'{", ".join(lost)} cannot be identified from this record: hold '
+               f'{"some of them" if lost[1:] else "it"} fixed, or record more outputs or another '
+               'motion')
+    shaft = problem.record.outputs.get('shaft')
+    if shaft and 'initial.shaft' in values:
+        begins = values.get('shaft.gain', 1.0) * values['initial.shaft'] + values.get(
+            'shaft.bias', 0.0)
+        if abs(begins - shaft.values[0]) > _FAR_START * np.ptp(shaft.values):
+            yield (f'initial.shaft lets the shaft begin at {begins:.3g} rad, where the record has '
+                   f'{shaft.values[0]:.3g} rad: it stands for a motion that the model lacks')
     for free, part in product(problem.free, (0.99, 1.01)):
         near = min(max(part * values[free.name], free.low), free.high)
         try:
