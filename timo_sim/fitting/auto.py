@@ -128,6 +128,6 @@ def choose(scene: Scene, free: list[str], objective_of: Callable[[Scene, list[st
                              interrupted=not isinstance(stop, TimeIsUp))
     except (ArithmeticError, ParameterError) as error:
         best, reason = sure, str(error)
-    tried = 'no more effects were' if best.ladder else 'no effect was'
-    say(line := f'{tried} tried: {reason}')
+    what = 'no more effects were' if best.ladder else 'no effect was'
+    say(line := f'{what} tried: {reason}')
     return best._replace(ladder=[*best.ladder, line])

@@ -408,8 +408,8 @@ class Formulation(ABC):
         integral = (integral + missing @ share).T
         if self.manipulator.off_tip:  # one more node, for what is beyond the tip
             integral = np.vstack([integral, np.zeros_like(xi)])
-        return Points(xi, self.manipulator.hub_radius + xi, integral, deflection.T, rotation.T,
-                      displacement.T)
+        return Points(xi=xi, lever=self.manipulator.hub_radius + xi, integral=integral,
+                      deflection=deflection.T, rotation=rotation.T, displacement=displacement.T)
 
     @cached_property
     def _slopes_at_nodes(self):
