@@ -163,7 +163,7 @@ def standing():
         draw_arm(plane, run, sample, BLUE, 0.3 + 0.2 * k, 'then every 0.4 s' if k == 3 else None)
     draw_arm(plane, run, 1000, RED, label='borne by the torque, until 1 s')
     plane.set(xlim=(-2.1, 2.1), ylim=(-2.25, 1.35))
-    plane.annotate('g', (1.8, 0.6), (1.8, 1.1), ha='center', arrowprops={'arrowstyle': '->'})
+    plane.annotate('g', (1.8, -0.4), (1.8, 0.1), ha='center', arrowprops={'arrowstyle': '->'})
     plane.legend(loc='upper left')
     time.plot(run.t, 1e3 * across, color=BLUE, label='tip deflection w(l)')
     time.set(ylabel='w(l) [mm]', xlim=(0, 10), ylim=(-80, 110))
