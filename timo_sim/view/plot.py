@@ -35,11 +35,12 @@ def plot(run: Any, deflection_scale: float = 1.0) -> Figure:
     """
     track, panels, bend = Track(run, '', deflection_scale), _panels(run), run.deflection()
     parts = np.array_split(np.arange(len(run.t)), min(_ARMS, len(run.t)))
-    most: Any = []
-    for part in parts:  # two arms of one swing at the border of two parts would be one picture
-        apart = part[part - most[-1] > len(part) // 4] if most else part
-        most.append(apart[np.abs(bend[apart, 1]).argmax()])
-    shapes, straight = track.line(slice(None)), track.straight(most)
+    size, near = np.abs(bend[:, 1]), len(parts[0]) // 4
+    most = [part[size[part].argmax()] for part in parts]
+    # Of two in one swing, at the border of two parts, the one that is bent more is drawn.
+    most = [k for k in most if not any(
+        abs(k - other) <= near and size[k] < size[other] for other in most)]
+    shapes, straight = track.line(slice(None)), track.straight(np.array(most))
     extent, height = np.ptp(shapes, axis=(0, 1)), max(2.0 * len(panels), 6.0)
     width = min(max(height * extent[0] / max(extent[1], 0.1 * extent[0]), 3.0), 9.0)
     figure = Figure(figsize=(6.5 + width, height + 0.8), layout='constrained')
@@ -60,7 +61,7 @@ def plot(run: Any, deflection_scale: float = 1.0) -> Figure:
         bent, = plane.plot(*shapes[k].T, '-o', color=COLOURS[0], alpha=alpha, linewidth=2.0,
                            markevery=[-1])
         rigid, = plane.plot(*line.T, '--', color=_GREY, linewidth=0.8)
-    bent.set_label(f'arm, where bent most in each {(run.t[-1] - run.t[0]) / len(most):.3g} s')
+    bent.set_label(f'arm, where bent most in each {(run.t[-1] - run.t[0]) / len(parts):.3g} s')
     rigid.set_label('arm, if it did not bend')
     plane.plot(*shapes[most, 0].T, 's', color='0.3', markersize=6, label='carrier')
     plane.set(xlabel='x [m]', ylabel='y [m]', aspect='equal', adjustable='datalim',
