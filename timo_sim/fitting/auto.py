@@ -23,6 +23,7 @@ from timo_sim.scene.parameters import ParameterError
 from timo_sim.scene.scene import Scene
 
 _SUSPECTS = 6  # that are tried at a time
+_DELAY = 0.02  # [s] width of delays: of drives, buses and filters
 _DRY, _NEAR_REST = 0.05, 0.05  # friction and its speed, of the largest torque and a usual speed
 _BODIES = {'motor': ('shaft', 'torque', 'voltage'), 'carrier': ('carrier_x', 'force_x', '')}
 
@@ -67,7 +68,7 @@ def plain(scene: Scene, record: Record) -> tuple[Scene, list[str]]:
     # Every rig has delays. They bend no run, and without them all else stands for them.
     late = [name for name in record.inputs if name != DRIVE]
     alone = bool(late) and len(seen) == len(record.outputs)  # one delay is that of the input
-    free += [f'{name}.delay' for name in late + seen[alone:]]
+    free += [f'{name}.delay~{_DELAY}' for name in late + seen[alone:]]
     free += [*MOVING] if values['model.modes'] else []
     return scene.vary(changes), free
 

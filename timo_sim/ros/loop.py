@@ -292,11 +292,10 @@ class Pace:
         return max(behind, 0)
 
     def report(self) -> str:
-        """Say how many ticks were late and whether sim time was lost."""
+        """Say whether sim time was lost, and how many ticks were late."""
         lost = self.dropped_steps * self._step
-        return f'{self.overruns} late ticks, ' + (
-            f'{lost:.6g} s of sim time were lost to delays beyond catch_up_limit' if lost else
-            'no sim time was lost')
+        return (f'{lost:.6g} s of sim time were lost to delays beyond catch_up_limit' if lost else
+                'no sim time was lost') + f' ({self.overruns} late ticks)'
 
     def deadline(self, steps: int) -> float:
         """Return the wall time of the next tick [s]."""
