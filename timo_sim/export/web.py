@@ -130,7 +130,7 @@ def _scene(name: str, scene: Scene, estimate: bool) -> dict[str, Any]:
         'body': body._asdict(), 'gravity': list(values['gravity']),
         'free': [fixed_axes(values) not in (axis, 'both') for axis in 'xy'],
         'warning': [along, meant, MOST_APART * scene.manipulator.arm.length],
-        'about': repr(scene).partition(': ')[2][:-1]}
+        'about': f'{name}: {repr(scene).partition(": ")[2].rpartition(", ")[0]}'}
 
 
 def _deflated(content: bytes) -> str:
