@@ -23,7 +23,7 @@ from timo_sim.scene.parameters import ParameterError
 from timo_sim.scene.scene import Scene
 
 _SUSPECTS = 6  # that are tried at a time
-_DELAY = 0.02  # [s] width of delays: of drives, buses and filters
+_DELAY = 0.05  # [s] width of delays: of drives, buses and filters
 _DRY, _NEAR_REST = 0.05, 0.05  # friction and its speed, of the largest torque and a usual speed
 _BODIES = {'motor': ('shaft', 'torque', 'voltage'), 'carrier': ('carrier_x', 'force_x', '')}
 
