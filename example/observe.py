@@ -34,10 +34,11 @@ class Observe(Node):
         first.update({name: first.expected(name) for name in SENSORS}, dt=scene.step)
         self.tip = self.create_publisher(Vector3Stamped, '~/tip_deflection', 10)
         self.deviation = self.create_publisher(Vector3Stamped, '~/tip_deviation', 10)
-        self.create_subscription(Float64, '/timo_sim/motor_torque', self.command, 1000)
         for name, topic in SENSORS.items():
             self.create_subscription(JointState, topic, lambda message, name=name: self.measure(
                 name, message), 1000)
+        # Of messages that wait together, a torque is taken last: it answers the measurements.
+        self.create_subscription(Float64, '/timo_sim/motor_torque', self.command, 1000)
         self.get_logger().info(f'observing {", ".join(SENSORS)}')
 
     def command(self, message):
