@@ -237,6 +237,16 @@ def test_no_interval_is_printed_where_the_model_lacks_much():
         f'predicts what was held out with rms errors of {each.hold_out_rms:.2g} rad of shaft (')
 
 
+def test_outputs_that_are_not_predicted_and_a_first_angle_that_runs_away_are_told():
+    """The voltage that is told is not the one that moved the arm."""
+    found = fit(record(told=VOLTAGE[::-1]), ['motor.viscous_friction', 'initial.shaft'],
+                hold_out=0.5, quick=True)
+    told = ' '.join(found.warnings)
+    assert found.errors['shaft'].hold_out_r_squared < 0.5
+    assert 'what was held out of shaft is not predicted: R^2 is ' in told
+    assert 'initial.shaft lets the shaft begin at' in told
+
+
 def test_the_stiffness_that_a_resonance_would_need_is_told():
     """Of a clamped arm that rings out, beside a scene with twice the stiffness."""
     scene = ARM.vary({'motor.shaft': 'locked', 'initial.modal_coordinates': [0.002, 0.0, 0.0]})

@@ -464,7 +464,6 @@ def sweep(file: str, output: str | None, workers: int | None, scheduler: str | N
 
     \b
         timo_sim sweep config/sweep.yaml
-
     """
     from timo_sim.runs.sweep import run_sweep
     run_sweep(file, output, workers, scheduler)

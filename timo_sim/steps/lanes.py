@@ -119,6 +119,8 @@ class LaneSteps:
         self.constant_load, self.state = lane['constant_load'], lane['state']
         self.friction, self.progress = lane['friction'], lane['progress']
         self.motion, self.tip = lane['motion'], lane['tip']
+        if self._sectors is not None:
+            self._bands = self._fields(_TABLES)['bands_per_speed']
 
     def __setstate__(self, state: dict[str, Any]) -> None:
         self.__dict__.update(state)
@@ -163,7 +165,7 @@ class LaneSteps:
     def _enter_sectors(self, columns, varying):
         # Give lanes whose shafts have turned on the linear part of their sector.
         load, states, bands = (self.host(each) for each in (
-            self.constant_load.copy(), self.state, self._fields(_TABLES)['bands_per_speed']))
+            self.constant_load.copy(), self.state, self._bands))
         load[:, columns] += self.host(varying)
         load, states = (from_lanes(each, len(self._models)) for each in (load, states))
         now = self._models[0].sector(states, load, bands.ravel())

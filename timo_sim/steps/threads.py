@@ -72,7 +72,7 @@ class ThreadSteps(LaneSteps):
 
     def __getstate__(self):
         return {name: each for name, each in vars(self).items()
-                if name not in ('xp', '_kernel', *Lane._fields)}
+                if name not in ('xp', '_kernel', '_bands', *Lane._fields)}
 
     def __setstate__(self, state: dict[str, Any]) -> None:
         self.xp = state['_device'].xp
