@@ -69,10 +69,16 @@ _CONSTANTS = """
 import hashlib, timo_sim
 for values in ({}, {'model.modes': 11, 'model.static_modes': 'both'},
                {'model.modes': 10, 'model.formulation': 'newton'},
-               {'model.modes': 10, 'arm.length': 2.0, 'arm.profile.position': [0.0, 2.0],
-                'arm.profile.height': [0.1, 0.05]}):
+               {'model.modes': 40, 'model.formulation': 'newton'},
+               {'model.modes': 40, 'model.static_modes': 'both'},
+               *({'model.modes': count, 'arm.length': 2.0, 'arm.profile.position': [0.0, 2.0],
+                  'arm.profile.height': [0.1, 0.05]} for count in (10, 16, 40)),
+               {'model.axial_modes': 2, 'arm.length': 2.0,  # many spans
+                'arm.profile.position': [0.05 * k for k in range(41)],
+                'arm.profile.height': [0.1 - 0.04 * (k % 2) for k in range(41)]}):
     model = timo_sim.load_scene('paper', values).build()
-    print(hashlib.sha256(model.packed.memory.tobytes() + model.linear.tobytes()).hexdigest())
+    print(hashlib.sha256(model.packed.memory.tobytes() + model.linear.tobytes() + b''.join(
+        each.tobytes() for each in model.points)).hexdigest())
 """
 
 
@@ -80,5 +86,5 @@ def test_bits_do_not_depend_on_the_number_of_blas_threads():
     one, two = (subprocess.run(
         [sys.executable, '-c', _CONSTANTS], check=True, stdout=subprocess.PIPE,
         env={**os.environ, 'OPENBLAS_NUM_THREADS': threads}).stdout for threads in '12')
-    assert len(one.split()) == 4
+    assert len(one.split()) == 9
     assert one == two

@@ -47,6 +47,7 @@ from typing import Any
 import numpy as np
 from numpy.typing import ArrayLike
 
+from timo_sim.model.blas import with_one_thread
 from timo_sim.model.differences import differences
 from timo_sim.model.exact_code import BAND, band_of, BANDS, sector_of, SECTORS, Tables
 from timo_sim.model.formulation import Formulation, Points
@@ -223,6 +224,7 @@ class Exact(Formulation):
             found = found + SECTORS * band_of(np.where(good, speed, 0.0), bands)
         return found.astype(int) if state.ndim > 1 else int(found)
 
+    @with_one_thread
     def in_sector(self, number: int | None) -> tuple[Any, np.ndarray]:
         """Return tables and linear part of the straight arm in the middle of a sector, a band."""
         if number is None:

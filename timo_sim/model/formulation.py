@@ -15,6 +15,7 @@ import numpy as np
 from numpy.typing import ArrayLike
 
 from timo_sim.compiled.constants import pack, Packed
+from timo_sim.model.blas import with_one_thread
 from timo_sim.model.bodies import Constraints, Manipulator, Quadrature
 from timo_sim.model.functions import (
     accelerations_of, coulomb, efforts, energies, Flow, gear_torque, Outline, rate_once, Root,
@@ -104,6 +105,7 @@ class Formulation(ABC):
 
     sectors, speed_limit, any_size = 0, math.inf, False
 
+    @with_one_thread
     def __init__(self, manipulator: Manipulator, count: int, damping: ArrayLike = 0.0,
                  constraints: Constraints = Constraints(), nodes: int | None = None,
                  static: tuple[str, ...] = (), axial: int = 0,
@@ -254,6 +256,7 @@ class Formulation(ABC):
         return self._with_tables(self.tables_at(self.imu_point)) if self.imu else self
 
     @cached_property
+    @with_one_thread
     def beyond(self) -> 'Formulation':
         """The formulation with the masses beyond the gauge alone, whose `effort` they need."""
         if not self.gauge:

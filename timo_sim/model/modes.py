@@ -20,6 +20,7 @@ from numpy.typing import ArrayLike
 from timo_sim.compiled.constants import pack, Packed
 from timo_sim.compiled.entry import entry_point
 from timo_sim.compiled.functions import Array, Constants, magnitude, square_root, strict
+from timo_sim.model.blas import with_one_thread
 from timo_sim.model.bodies import Constraints, Manipulator, Quadrature
 
 
@@ -83,6 +84,7 @@ class JoinedModes(Modes):
 
 
 @functools.lru_cache(maxsize=16)
+@with_one_thread
 def modes_of(manipulator: Manipulator, count: int, static: tuple[str, ...] = ()) -> Modes:
     """
     Return the lowest modes of a manipulator's arm, both spectra together.
@@ -570,6 +572,7 @@ def _outboard(manipulator, rule):
 
 
 @functools.lru_cache(maxsize=16)
+@with_one_thread
 def axial_modes(manipulator: Manipulator, count: int, constraints: Constraints) -> Modes:
     """
     Return axial modes of a manipulator's arm with its end effector; they are cached.
