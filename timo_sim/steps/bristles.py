@@ -83,7 +83,7 @@ def bristles_of(models: list[Formulation], step: float, values: np.ndarray) -> l
         key = id(model), each.tobytes()
         if key not in known:
             known[key] = _LEAD * step**2 * fastest(
-                springs_of(each), mobilities(model)) if len(rows) else 0.0
+                springs_of(each), mobilities(model, ())) if len(rows) else 0.0
     lead = [known[id(model), each.tobytes()] for model, each in zip(models, values)]
     gear = np.array([model.rotor[[place] * bool(model.gear)] for model in models])
     return [np.full(count, step), np.tile(rows, (count, 1)), stiffness, reach,
@@ -98,7 +98,7 @@ def springs_of(values: np.ndarray) -> np.ndarray:
 
 
 @lru_cache(maxsize=8)
-def mobilities(model: Formulation, q: tuple[float, ...] = ()) -> list[np.ndarray]:
+def mobilities(model: Formulation, q: tuple[float, ...]) -> list[np.ndarray]:
     """
     Return accelerations of joints by unit forces on each, (4, 4), along and across the arm.
 
@@ -124,7 +124,7 @@ def swing_of(model: Formulation, values: np.ndarray) -> np.ndarray:
     """Return the speeds of joints whose energy `Scene.bristles` take as springs, (4,)."""
     if not values[:, REACH].any():
         return np.ones(BRISTLES)
-    found = np.sqrt(springs_of(values) * mobilities(model)[0].diagonal()) * values[:, REACH]
+    found = np.sqrt(springs_of(values) * mobilities(model, ())[0].diagonal()) * values[:, REACH]
     return np.where(found > 0.0, found, 1.0)
 
 
