@@ -40,7 +40,7 @@ class Follower:
     """
 
     def __init__(self, scene, feed_forward=True):
-        model = timo_sim.linearize(scene).select(INPUTS, SEEN).to_discrete(PERIOD)
+        model = timo_sim.linearize(scene, inputs=INPUTS, outputs=SEEN).to_discrete(PERIOD)
         self.plan = timo_sim.feedforward(model, dict(zip(SEEN, GOAL)), DURATION)
         self.feed_forward = feed_forward
 

@@ -37,7 +37,7 @@ class LQR:
     """
 
     def __init__(self, scene, duration=DURATION):
-        model = timo_sim.linearize(scene).select(['torque_N_m'])
+        model = timo_sim.linearize(scene, inputs=['torque_N_m'])
         weighed = model.select(outputs=list(SCALES)).C / [[scale] for scale in SCALES.values()]
         model = model.select(outputs=['shaft_rad', 'root_strain']).to_discrete(PERIOD)
         self.a, self.b, self.c = a, b, c = model.A, model.B, model.C

@@ -19,8 +19,8 @@ import timo_sim
 
 def vibration(scene):
     """Return the pole of the slowest vibration with the PD loop closed, upper half plane [1/s]."""
-    model = timo_sim.linearize(scene).select(['torque_N_m'],
-                                             ['shaft_rad', 'shaft_velocity_rad_per_s'])
+    model = timo_sim.linearize(scene, inputs=['torque_N_m'],
+                               outputs=['shaft_rad', 'shaft_velocity_rad_per_s'])
     poles = np.linalg.eigvals(model.A - model.B @ [[STIFFNESS, DAMPING]] @ model.C)
     return min(poles[poles.imag > 0.0], key=abs)
 

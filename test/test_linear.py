@@ -411,6 +411,21 @@ def test_a_gyro_turns_with_the_tip_or_the_model_says_that_it_does_not(frequency)
     assert abs(gyro / (2j * np.pi * frequency * rotation) - 1.0) > 0.07
 
 
+@pytest.mark.parametrize('cause, effect', [
+    ('tip_torque_N_m', 'tip_rotation_rad'), ('push_y_N', 'gyro_rad_per_s')])
+@pytest.mark.filterwarnings('error')
+def test_a_linear_model_warns_of_no_output_that_nobody_wants(cause, effect, tmp_path):
+    values = {**BARE, 'model.modes': 5, 'push.position': 0.4}
+    scene = timo_sim.load_scene({}, values)
+    for wanted, found in (([cause], [effect]), ([], None), (None, [])):
+        model = timo_sim.linearize(scene, inputs=wanted, outputs=found)
+        assert wanted in (None, [*model.inputs]) and found in (None, [*model.outputs])
+    call('bode', 'paper', '--input', cause, '--response', effect, '--png', tmp_path / 'bode.png',
+         *(f'--set={name}={value}' for name, value in values.items()))
+    with pytest.raises(timo_sim.ParameterError, match="output 'gyro' is none of"):
+        timo_sim.linearize(scene, outputs=['gyro'])
+
+
 def test_modes_are_the_vibrations_of_the_linear_model_on_springs_of_presliding():
     """A rigid arm on the spring of its friction before it slides: `sqrt(limit / reach / J)`."""
     scene = timo_sim.load_scene({}, {

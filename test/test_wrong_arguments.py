@@ -91,7 +91,10 @@ def calls(folder):
         'mask': none, 'motion': none}
     yield batch.reason, {'number': 0}, {'number': '0 -1'}
 
-    yield timo_sim.linearize, {'scene': scene, 'at': None, 'contact': ''}, {
+    yield timo_sim.linearize, {
+        'scene': scene, 'at': None, 'contact': '', 'inputs': ['torque_N_m'],
+        'outputs': ['shaft_rad']}, {
+        'inputs': 'None []', 'outputs': 'None []',
         'scene': '{}', 'at': none, 'contact': "''"}
     yield model.select, {'inputs': ['torque_N_m'], 'outputs': ['shaft_rad']}, {
         'inputs': 'None []', 'outputs': 'None []'}

@@ -165,7 +165,7 @@ def bode(scene: Scene, cause: str, effects: tuple[str, ...], picture: str,
     from timo_sim.runs.linear import linearize
     from timo_sim.runs.modes import modes
     from timo_sim.view.plot import bode
-    model = linearize(scene, contact=contact).select([cause], effects)
+    model = linearize(scene, None, contact, [cause], effects)
     _draw(bode(model, modes(scene, contact=contact).frequency), picture)
 
 

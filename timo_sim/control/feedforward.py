@@ -64,7 +64,7 @@ def feedforward(model: LinearModel, goal: Mapping[str, float], duration: float |
     Examples
     --------
     >>> import timo_sim
-    >>> model = timo_sim.linearize('paper').select(['torque_N_m']).to_discrete(0.01)
+    >>> model = timo_sim.linearize('paper', inputs=['torque_N_m']).to_discrete(0.01)
     >>> plan = timo_sim.feedforward(model, {'shaft_rad': 1.0}, 2.0, limit=15.0)
     >>> abs(plan.u.round(3)).max(axis=0)
     array([15.])

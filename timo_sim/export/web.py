@@ -212,8 +212,8 @@ def _loop(scene):
     try:
         with warnings.catch_warnings():
             warnings.simplefilter('ignore')  # of friction, that the model holds for small motions
-            model = linearize(scene, rest, 'closed').select(
-                ['torque_N_m'], ['shaft_rad', 'shaft_velocity_rad_per_s'])
+            model = linearize(scene, rest, 'closed', ['torque_N_m'],
+                              ['shaft_rad', 'shaft_velocity_rad_per_s'])
             clamped = modes(scene, 0.0, 'closed').frequency if scene.modal_count else [1.0]
     except ParameterError as error:
         return {'why': str(error)}

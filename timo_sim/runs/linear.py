@@ -170,8 +170,10 @@ _UNLOADED = 1e-9  # torque of a gear that is not loaded, relative to stiffness t
 _LEFT_OUT = 0.02  # largest share of a static response that rates may lack without a warning
 
 
-@checked(at=NUMBERS, contact=CONTACT)
-def linearize(scene: SceneLike, at: np.ndarray | None = None, contact: str = '') -> LinearModel:
+@checked(at=NUMBERS, contact=CONTACT, inputs=TEXTS, outputs=TEXTS)
+def linearize(scene: SceneLike, at: np.ndarray | None = None, contact: str = '',
+              inputs: Sequence[str] | None = None,
+              outputs: Sequence[str] | None = None) -> LinearModel:
     """
     Return the linear model of a scene about a state of rest.
 
@@ -195,25 +197,28 @@ def linearize(scene: SceneLike, at: np.ndarray | None = None, contact: str = '')
     contact : str
         Of a gear with backlash that the equilibrium does not load: 'closed', as if it had no
         backlash, or 'open', for motions within it.
+    inputs, outputs : sequences of str, optional
+        Those wanted, in the order given, with units; by default all.
 
     Raises
     ------
     ParameterError
-        If the motion is no equilibrium, or the gear's contact is not known.
+        If the motion is no equilibrium, the gear's contact is not known, or the model does not
+        have a name of `inputs` or `outputs`.
 
     Warns
     -----
     ModelWarning
         If friction builds up over a speed or a way, since the model holds for smaller motions
-        alone; if rates and accelerations of the tip lack more than 2 % of a static response that
-        its place has.
+        alone; if a wanted rate or acceleration of the tip lacks more than 2 % of the static
+        response to a wanted input.
 
     Examples
     --------
     >>> import timo_sim
-    >>> model = timo_sim.linearize(timo_sim.load_scene({'model.modes': 3}))
-    >>> model.A.shape
-    (12, 12)
+    >>> model = timo_sim.linearize({'model.modes': 3}, inputs=['torque_N_m'])
+    >>> model.A.shape, model.B.shape
+    ((12, 12), (12, 1))
 
     """
     scene = load_scene(scene)
@@ -246,10 +251,10 @@ def linearize(scene: SceneLike, at: np.ndarray | None = None, contact: str = '')
     # A rate is linear in a load. That of a voltage is the torque of the motor.
     units = {INPUTS[column].column: np.eye(LOADS)[column] for column in _INPUTS}
     units[INPUTS[VOLTAGE].column] = np.eye(LOADS)[TORQUE] * motor_constants(scene.values)[0]
-    inputs = {name: formulation.rate(state, load + unit) - formulation.rate(state, load)
-              for name, unit in units.items()}
-    inputs = {name: per_load for name, per_load in inputs.items() if per_load.any()}
-    b = _solve(to_state, np.reshape([*inputs.values()], (len(inputs), len(a))).T)
+    rates = {name: formulation.rate(state, load + unit) - formulation.rate(state, load)
+             for name, unit in units.items()}
+    rates = {name: per_load for name, per_load in rates.items() if per_load.any()}
+    b = _solve(to_state, np.reshape([*rates.values()], (len(rates), len(a))).T)
 
     names = tuple(_outputs(formulation, at, load))
 
@@ -260,20 +265,21 @@ def linearize(scene: SceneLike, at: np.ndarray | None = None, contact: str = '')
     c = _jacobian(formulation, lambda motion: shown(motion, load), at, places)
     # They are linear in a load. What acts on the arm also bends it beyond its modes.
     residual, lacking = _residual(formulation, at, names)
-    if found := [(share, effect, name) for name, unit in units.items() if name in inputs
-                 for effect, share in zip(names, lacking @ unit)
-                 if share > _LEFT_OUT]:
-        share, effect, name = max(found)
-        warn(f'{effect} of the linear model lacks {100.0 * share:.0f} % of the static response '
-             f'to {name}: name the load in model.static_modes, or take more model.modes')
     d = np.stack([shown(at, load + units[name]) - still + residual @ units[name]
-                  for name in inputs], axis=-1)
+                  for name in rates], axis=-1)
     for unit, spring in _springs(formulation, scene.bristles, places):
         c[:, :len(spring)] -= np.outer(
             shown(at, load + unit) - still + residual @ unit, spring)
     bend = c[names.index('tip_transverse_m')] / formulation.manipulator.arm.length
-    return LinearModel(A=a, B=b, C=c, D=d, states=state_names(formulation), inputs=tuple(inputs),
-                       outputs=names, equilibrium=equilibrium, places=places, bend=bend)
+    model = LinearModel(A=a, B=b, C=c, D=d, states=state_names(formulation), inputs=tuple(rates),
+                        outputs=names, equilibrium=equilibrium, places=places,
+                        bend=bend).select(inputs, outputs)
+    if found := [(share, effect, name) for name in model.inputs for effect in model.outputs
+                 if (share := lacking[names.index(effect)] @ units[name]) > _LEFT_OUT]:
+        share, effect, name = max(found)
+        warn(f'{effect} of the linear model lacks {100.0 * share:.0f} % of the static response '
+             f'to {name}: name the load in model.static_modes, or take more model.modes')
+    return model
 
 
 def in_contact(scene: Scene, model: Formulation, at: np.ndarray,
