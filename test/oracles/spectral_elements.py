@@ -206,11 +206,13 @@ def _limit(q, inverse, derivative, jacobian, stiffness):
 # numba's cache sees that this file changes, but not that columns of `layout` do.
 @numba.njit(fastmath=True, cache=True)
 def _force(q, derivative, jacobian, stiffness, weight, out):
-    out[:] = weight
+    for node in range(len(out)):
+        for part in range(3):
+            out[node, part] = weight[node, part]
     n = len(derivative)
+    stress = np.empty((3, n))
     for k in range(len(jacobian)):
         base = k * (n - 1)
-        stress = np.empty((3, n))
         for i in range(n):
             x = y = bend = 0.0
             for j in range(n):
@@ -235,12 +237,16 @@ def _force(q, derivative, jacobian, stiffness, weight, out):
 
 
 @numba.njit(cache=True)
-def _push(force, q, load):
-    c, s = np.cos(q[0, 2]), np.sin(q[0, 2])
-    for node, x, i, torque in ((0, FORCE_X, FORCE_I, TORQUE), (-1, TIP_X, TIP_I, TIP_TORQUE)):
-        force[node, 0] += load[x] + c * load[i] - s * load[i + 1]
-        force[node, 1] += load[x + 1] + s * load[i] + c * load[i + 1]
-        force[node, 2] += load[torque]
+def _kick(v, q, inner, load, half, inverse):
+    """Add what half a step's forces change: of the arm, and of a load on its ends."""
+    c, s, last = np.cos(q[0, 2]), np.sin(q[0, 2]), len(q) - 1
+    for node in range(len(q)):
+        for part in range(3):
+            v[node, part] += half * inverse[node, part] * inner[node, part]
+    for node, x, i, torque in ((0, FORCE_X, FORCE_I, TORQUE), (last, TIP_X, TIP_I, TIP_TORQUE)):
+        v[node, 0] += half * inverse[node, 0] * (load[x] + c * load[i] - s * load[i + 1])
+        v[node, 1] += half * inverse[node, 1] * (load[x + 1] + s * load[i] + c * load[i + 1])
+        v[node, 2] += half * inverse[node, 2] * load[torque]
 
 
 @numba.njit(cache=True)
@@ -248,13 +254,11 @@ def _advance(q, v, loads, step, inverse, derivative, jacobian, stiffness, weight
     inner = np.empty_like(q)
     _force(q, derivative, jacobian, stiffness, weight, inner)
     for k in range(len(loads)):
-        force = inner.copy()
-        _push(force, q, loads[k, 0])
-        v += 0.5 * step * inverse * force
-        q += step * v
+        _kick(v, q, inner, loads[k, 0], 0.5 * step, inverse)
+        for node in range(len(q)):
+            for part in range(3):
+                q[node, part] += step * v[node, part]
         if driven:
             q[0, 2], v[0, 2] = loads[k, 2, ANGLE], loads[k, 2, SPEED]
         _force(q, derivative, jacobian, stiffness, weight, inner)
-        force = inner.copy()
-        _push(force, q, loads[k, 2])
-        v += 0.5 * step * inverse * force
+        _kick(v, q, inner, loads[k, 2], 0.5 * step, inverse)
