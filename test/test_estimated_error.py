@@ -175,6 +175,30 @@ def test_the_error_under_commands_is_that_from_finer_steps():
     assert error > 1e-4 and found[0] == pytest.approx(error, rel=0.3)
 
 
+def test_the_error_under_commands_of_a_controller_is_not_that_of_its_loop():
+    """A standing arm in gravity falls without its controller, and so does the finer run."""
+    scene = timo_sim.load_scene({
+        'arm.length': 0.6, 'arm.material': 'aluminium', 'arm.section.width': 0.03,
+        'arm.section.height': 0.003, 'arm.damping_ratio': [0.01], 'end_effector.mass': 0.15,
+        'motor.shaft_inertia': 0.002, 'carrier.held': 'both', 'gravity': [0.0, -9.81],
+        'integrator.step': 0.002})
+
+    def loop(simulator, periods=2500):  # 5 s
+        steps = round(0.002 / simulator.scene.step)
+        for _ in range(periods):
+            torque = 8.0 * (0.5 - simulator.motion.shaft) - 0.6 * simulator.motion.shaft_velocity
+            simulator.step(torque=torque, duration=steps * simulator.scene.step)
+        return simulator.motion.shaft
+
+    simulator = timo_sim.EstimatingSimulator(scene)
+    found = loop(simulator)
+    finer = timo_sim.Simulator(scene.vary({'integrator.step': 0.001, 'model.modes': 4}))
+    error = 0.6 * abs(found - loop(finer))
+    assert error < 1e-3 < simulator.estimated_error
+    assert simulator.estimated_error > 10.0 * error
+    assert 'run the loop again with half the integrator.step' in simulator.warning
+
+
 def test_calls_whose_end_is_not_sampled_are_compared_at_their_own_samples():
     """The error is that of calls which are followed one by one."""
     found = []

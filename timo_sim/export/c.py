@@ -144,4 +144,4 @@ def _main(interface: Interface, step: float, name: str) -> bytes:
     command = ('    if (code == NAME_OK)\n'
                '        code = name_set_input(instance, NAME_TORQUE, 1.0);') if torque else ''
     return _fill('main.c', name, command=_named(command, name), steps=max(1, round(0.1 / step)),
-                 under=' under a torque of 1 N m' if torque else '')
+                 under=' under a torque of 1 N m besides the loads of the scene' if torque else '')

@@ -74,7 +74,8 @@ def _error(run, with_remedy):
     remedy = (_find_remedy(part, round(scene.step / fine.scene.step), _apart(part, fine),
                            _BEGUN * limit)
               if with_remedy and max(errors) > limit else None)
-    return errors, earlier or inaccurate(scene, errors[0], errors[1], remedy)
+    found = [inaccurate(scene, errors[0], errors[1], remedy), earlier]
+    return errors, '; '.join(filter(None, found)) or None
 
 
 def _alike(run, scene):

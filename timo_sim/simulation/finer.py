@@ -201,7 +201,7 @@ class EstimatingSimulator(Simulator):
             super().reset()
             self.finer.reset()
             self._behind: list[_Call] = []
-            self._errors, self._is_known = (0.0, 0.0), True
+            self._errors, self._is_known, self._is_commanded = (0.0, 0.0), True, False
             # The finer run has its own equilibrium: the runs differ already at the start.
             self._compare(self.motion.values[np.newaxis], self.finer.motion.values[np.newaxis])
 
@@ -275,11 +275,13 @@ class EstimatingSimulator(Simulator):
     def _compare(self, motions, others):
         place, bend = tip_distances(self.model, motions, self.finer.model, others)
         self._errors = max(self._errors[0], place), max(self._errors[1], bend)
-        self.warning = self.warning or inaccurate(self.scene, *self._errors)
+        self.warning = self.warning or inaccurate(
+            self.scene, *self._errors, commanded=self._is_commanded)
 
     def _note(self, count, commanded, samples):
         super()._note(count, commanded, samples)
         if count and self._is_known:
+            self._is_commanded |= commanded is not None and bool(commanded.any())
             self._behind.append(_Call(
                 count, None if commanded is None else commanded.copy(), samples.every or count,
                 samples.motions[1:].copy() if samples.every else self.motion.values[np.newaxis]))

@@ -18,6 +18,9 @@ _MOST_OF_A_PERIOD = 0.25
 _MOST_LEFT_OUT, MOST_APART = 1e-3, 6e-4
 NO_FINER_RUN = ('finer runs of the scene diverge, so that the error of this one is not known: '
                 'take a smaller integrator.step')
+_SAME_COMMANDS = (
+    '. It is that of the same commands: if a controller gives them, run the loop again with half '
+    'the integrator.step and one more of model.modes, and compare')
 
 
 class DivergenceError(ArithmeticError):
@@ -72,12 +75,13 @@ def after_steps(scene: Scene, model: Any, share: float, time: float,
 
 
 def inaccurate(scene: Scene, error: float, deflection: float,
-               remedy: str | None = None) -> str | None:
+               remedy: str | None = None, commanded: bool = False) -> str | None:
     """
     Return the warning of a run whose tip is far from that of a finer run, or None.
 
     `error` and `deflection` are their distances in world and arm frame [m], `remedy` what moves
-    the tip most, '' if no change of the scene does; by default all are named.
+    the tip most, '' if no change of the scene does; by default all are named. If loads were
+    `commanded`, a controller may have chosen them, who would choose others for the finer run.
     """
     limit = MOST_APART * scene.manipulator.arm.length
     if max(error, deflection) <= limit:
@@ -92,7 +96,7 @@ def inaccurate(scene: Scene, error: float, deflection: float,
             f'the estimated error of the tip deflection is {deflection:.1g} m, because of the '
             f'shaft angle; that of the tip is {error:.1g} m') + (
         f': take {remedy}' if remedy else ', and no change of step, modes or equations alone '
-        'mends that')
+        'mends that') + _SAME_COMMANDS * commanded
 
 
 def more_axial(scene: Scene) -> str:
