@@ -106,6 +106,59 @@ def test_sliders_of_a_page_choose_other_arms(tmp_path):
     assert len(rows) == 13 and data['loops'][0]['frequency'] > 1.0
 
 
+# Prints the torque at the shaft: at first, without the scene's loads, after a step, with them; then
+# the largest torque of the controller in a step of the goal, and the shaft's angle at its end.
+TORQUES = ARMS.split('load(scene)')[0].replace('load;', '[load, Loop, clamp];') + """
+const [read, Goal] = globalThis.load;
+const html = fs.readFileSync(script.replace(/js$/, 'html'), 'utf8');
+const size = Number(html.match(/id="size".*value="(.*?)"/)[1]), law = scene.loops[0];
+read(scene).then(arm => {
+    const print = (...values) => console.log(JSON.stringify(values)), loop = new Goal();
+    const now = () => arm.get('shaft_torque');
+    const first = now();
+    arm.useLoads(false);
+    arm.reset();
+    const without = now();
+    arm.step(1);
+    const after = now();
+    arm.useLoads(true);
+    arm.reset();
+    print(first, without, after, now());
+    arm.useLoads(false);
+    arm.reset();
+    const begin = arm.get('shaft');
+    loop.hold(0, begin);
+    loop.begin(0, begin + size, law, false);
+    let most = 0;
+    while (arm.get('time') < 60) {
+        const torque = law.gains[0] * (loop.goalAt(arm.get('time')) - arm.get('shaft'))
+            - law.gains[1] * arm.get('shaft_velocity');
+        most = Math.max(most, Math.abs(torque));
+        arm.set('torque', torque);
+        arm.step(1);
+    }
+    print(most, (arm.get('shaft') - begin) / size);
+});
+"""
+
+
+@pytest.mark.parametrize('name, values', [
+    ('arm', {}), ('paper', {'load.torque.piecewise.time': [0.0], 'motor.torque_limit': 100.0,
+                            'load.torque.piecewise.value': [3.0]})], ids=str)
+def test_a_page_without_the_scene_s_loads_has_no_torque_and_a_step_stays_below_the_limit(
+        name, values, tmp_path):
+    scene = timo_sim.load_scene(name, values)
+    page = export_web({name: scene}, tmp_path / 'arm.html', estimate=False)
+    found = subprocess.run(['node', '-e', TORQUES, Path(web.__file__).with_name('arm.js'), page],
+                           check=True, capture_output=True)
+    (first, *rest, again), (most, reached) = (
+        json.loads(line) for line in found.stdout.splitlines())
+    assert first == again == scene.load_at_start()[TORQUE] != 0.0 and rest == [0.0, 0.0]
+    # A step at rest takes the stiffness times its size at once.
+    assert 0.5 * scene.values['motor.torque_limit'] < most < scene.values['motor.torque_limit']
+    assert reached == pytest.approx(1.0, abs=0.02)
+
+
 def test_a_linker_that_is_missing_is_named(tmp_path, monkeypatch):
     monkeypatch.setenv('PATH', '')
     with pytest.raises(OSError, match='apt-get install lld'):

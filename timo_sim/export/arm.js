@@ -33,9 +33,8 @@ class Arm {
     this.bytes = new Uint8Array(exports.memory.buffer);
     this.inputs = Object.fromEntries(scene.inputs.map(([name], number) => [name, number]));
     this.places = Object.fromEntries(scene.outputs.map((name, number) => [name, number]));
-    this.loads = scene.loads.map(symbol => {
-      const place = exports[symbol].value;
-      const size = scene.symbols.find(([name]) => name === symbol)[1];
+    this.loads = scene.loads.map(([symbol, offset, size]) => {
+      const place = exports[symbol].value + offset;
       return [place, this.bytes.slice(place, place + size)];
     });
     exports.arm_create(this.instance, scene.size);

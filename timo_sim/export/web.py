@@ -29,6 +29,7 @@ import numpy as np
 from timo_sim.control.shaping import shaper
 from timo_sim.export.constants import interface_of, refuse, simulators_of
 from timo_sim.export.library import library
+from timo_sim.model.layout import LOADS
 from timo_sim.runs.linear import linearize
 from timo_sim.runs.modes import modes
 from timo_sim.scene.files import check_target, whole_file
@@ -47,6 +48,8 @@ _DAMPING = 0.0, 0.005, 0.01, 0.02, 0.05  # ratios of an arm without damping
 _BEND = 0.03  # deflection to which the largest forces of sliders bend a clamped arm, in lengths
 # Bandwidths of the closed loop that are tried, over the frequency of the clamped arm.
 _BANDWIDTHS = 2.0, 1.0, 0.5, 0.2, 0.1
+_STEP = 0.2   # size of the first step of its goal, in arm.html [rad]
+_SHARE = 0.9  # of the motor's limit that this step takes
 
 
 @checked(file=PATH, estimate=FLAG, tell=FUNCTION)
@@ -120,9 +123,7 @@ def _scene(name: str, scene: Scene, estimate: bool) -> dict[str, Any]:
         'wasm': _deflated(link_wasm(made.content)), 'tables': _deflated(tables),
         'symbols': [[symbol, sum(each.length for each in group)]
                     for symbol, group in made.constants.items()],
-        'loads': [symbol for symbol, group in made.constants.items()
-                  if group[0] in [model.loads for model in made.models]]
-        if scene.load and values['motor.shaft'] != 'driven' else [],
+        'loads': [*_loads(made)] if scene.load and values['motor.shaft'] != 'driven' else [],
         'inputs': [[each.title, each.unit, each.meaning] for each in interface.inputs],
         'outputs': [each.title for each in interface.outputs],
         'parameters': [[each.title, each.unit, each.meaning] for each in interface.parameters],
@@ -131,6 +132,18 @@ def _scene(name: str, scene: Scene, estimate: bool) -> dict[str, Any]:
         'free': [fixed_axes(values) not in (axis, 'both') for axis in 'xy'],
         'warning': [along, meant, MOST_APART * scene.manipulator.arm.length],
         'about': f'{name}: {repr(scene).partition(": ")[2].rpartition(", ")[0]}'}
+
+
+def _loads(made):
+    """Yield the places of the scene's own loads: symbol, offset and length [B]."""
+    for symbol, group in made.constants.items():
+        begin = 0
+        for packed in group:
+            if 'first_load' in packed.offsets:  # what an instance begins with
+                yield symbol, begin + packed.offsets['first_load'], 8 * LOADS
+            elif packed in [model.loads for model in made.models]:
+                yield symbol, begin, packed.length
+            begin += packed.length
 
 
 def _deflated(content: bytes) -> str:
@@ -223,8 +236,10 @@ def _loop(scene):
                + body.point_inertia.sum() + np.dot(arm[0], arm[1]**2))
     if fixed_axes(values) == 'none':
         inertia -= np.dot(*arm)**2 / body.mass
+    # The torque of a step that begins at rest stays below the limit.
+    most = math.sqrt(_SHARE * _torque_limit(values) / (_STEP * inertia))
     for share in _BANDWIDTHS:
-        omega = 2.0 * math.pi * share * clamped[0]
+        omega = min(2.0 * math.pi * share * clamped[0], most)
         gains = inertia * np.array([omega**2, 1.4 * omega])
         poles = np.linalg.eigvals(model.A - model.B @ gains[np.newaxis] @ model.C)
         if poles.real.max() <= 1e-6 * omega:
@@ -240,6 +255,13 @@ def _loop(scene):
             'damping': -found[0].real / abs(found[0]) if found else 0.0,
             'times': shaped.times.tolist() if shaped else [0.0],
             'amplitudes': shaped.amplitudes.tolist() if shaped else [1.0]}
+
+
+def _torque_limit(values):
+    """Return the largest torque of commands [N m]."""
+    return min(values['motor.torque_limit'], values['motor.dc.current_limit']
+               * values['motor.dc.torque_constant'] * values['motor.dc.gear_ratio']
+               if values['motor.dc.resistance'] else math.inf)
 
 
 def _ranges(scene):
