@@ -83,8 +83,8 @@ class Vibrations(PointsOfArm):
         return shapes(self)
 
     def __str__(self) -> str:
-        return '\n'.join(['mode          [Hz]       [rad/s]   damping     error'] + [
-            f'{n:4d}  {hertz:12.6g}  {omega:12.6g}  {damping:8.2g}  {error:8.1g}'
+        return '\n'.join(['mode          [Hz]       [rad/s]   damping  relative error'] + [
+            f'{n:4d}  {hertz:12.6g}  {omega:12.6g}  {damping:8.2g}  {error:14.1g}'
             for n, (hertz, omega, damping, error) in enumerate(
                 zip(self.frequency, self.omega, self.damping, self.error), start=1)])
 
