@@ -106,8 +106,8 @@ def test_sliders_of_a_page_choose_other_arms(tmp_path):
     assert len(rows) == 13 and data['loops'][0]['frequency'] > 1.0
 
 
-# Prints the torque at the shaft: at first, without the scene's loads, after a step, with them; then
-# the largest torque of the controller in a step of the goal, and the shaft's angle at its end.
+# Prints the torque at the shaft: at first, without the scene's loads, after a step, and with them;
+# then the largest torque of a step of the closed loop, and where the shaft ends.
 TORQUES = ARMS.split('load(scene)')[0].replace('load;', '[load, Loop, clamp];') + """
 const [read, Goal] = globalThis.load;
 const html = fs.readFileSync(script.replace(/js$/, 'html'), 'utf8');

@@ -14,7 +14,7 @@ import numpy as np
 import pytest
 
 ROOT = Path(__file__).resolve().parents[1]
-TOPIC, SENSOR, INPUT, FORMULA, FORMULATION, LINE, INTEGRATOR, METHOD = re.findall(
+(TOPIC, SENSOR, INPUT, EXACT, NEWTON, FORMULATION, LINE, INTEGRATOR, METHOD) = re.findall(
     r'```python\n(.*?)```',
     (ROOT / 'doc/design.md').read_text().split('## Add something')[1].split('\n## ')[0], re.S)
 
@@ -31,6 +31,9 @@ simulator.step(torque=1.0)
 per_q = 0.01 * scene.build().modes.curvature([1.0])[0, 0]  # half the height times curvature
 print(simulator.sensors.middle_strain - per_q * simulator.motion.q[0])
 linear = timo_sim.linearize(scene).select(['torque_N_m', 'disturbance_N_m'], ['middle_strain'])
+exact = timo_sim.linearize(scene.vary({'model.formulation': 'exact'}))
+ours = exact.B[:, exact.inputs.index('disturbance_N_m')]
+print(abs(ours - exact.B[:, 2]).max(), exact.inputs[2])
 print(linear.C[0, 3] / per_q, abs(linear.B[:, 1] - linear.B[:, 0]).max(), abs(linear.B).max())
 ends = [simulators.step(duration=0.1, **commands).values for simulators, commands in (
     (timo_sim.Simulator(scene), {'torque': 2.0}),
@@ -69,8 +72,11 @@ def extended(tmp_path_factory):
     insert(package / 'topics/outputs.py', ')\n\n\n_GRAVITY', SENSOR)
     insert(package / 'model/layout.py', ')\nLOADS', INPUT)
     insert(package / 'model/newton.py', '        for n in range(count):\n            force[i]',
-           FORMULA)
+           NEWTON)
     insert(package / 'model/newton.py', 'ACCELERATION, ACCELERATION_X,', 'LOADS, ')
+    insert(package / 'model/exact_code.py', '    for _ in range(len(tables.gear)):  # 0',
+           EXACT)
+    insert(package / 'model/exact_code.py', 'PUSH_X, PUSH_Y, SHAFT_FRICTION,', 'LOADS, ')
     (package / 'model/newton_small_speed.py').write_text(FORMULATION)
     insert(package / 'model/__init__.py', '}\n', LINE)
     (package / 'steps/rk4.py').write_text(INTEGRATOR)
@@ -90,8 +96,10 @@ def python(folder, *arguments):
 
 
 def test_in_python(extended):
+    bias, unlike_exact, name, *numbers = python(extended, '-c', RUN).split()
+    assert name == 'torque_N_m' and float(unlike_exact) < 1e-12
     (bias, slope, unlike, large, commanded, prescribed, far, error, size, newton, ours,
-     omega, *vibration) = map(float, python(extended, '-c', RUN).split())
+     omega, *vibration) = map(float, [bias, *numbers])
     assert bias == pytest.approx(0.5, abs=1e-12) and slope == pytest.approx(1.0, rel=1e-9)
     # The disturbance is another torque, in linear models, commands and scenes.
     assert max(unlike / large, commanded / far, prescribed / far) < 1e-12

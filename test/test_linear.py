@@ -15,7 +15,7 @@ import scipy.linalg
 
 import timo_sim
 from timo_sim.model.bodies import Quadrature
-from timo_sim.model.layout import LOADS, without_unit
+from timo_sim.model.layout import INPUTS, LOADS, VOLTAGE, without_unit
 from timo_sim.scene.loads import CHANNELS
 from timo_sim.simulation.simulator import Simulator
 
@@ -304,6 +304,15 @@ def test_a_held_voltage_moves_the_simulated_arm_as_the_discrete_model():
 def test_inputs_without_effect_are_left_out(values, inputs):
     model = timo_sim.linearize(timo_sim.load_scene({}, {'initial.shaft': 0.0, **values}))
     assert list(model.inputs) == inputs
+
+
+@pytest.mark.parametrize('name', ['exact', 'newton'])
+def test_each_input_acts_in_each_formulation(name):
+    """Those in axes of the arm are no inputs of linear models; only a held carrier is driven."""
+    found = {each for held in ({}, {'carrier.held': 'both'}) for each in timo_sim.linearize(
+        timo_sim.load_scene({}, {'model.formulation': name, 'push.position': 1.0, **MOTOR,
+                                 **held})).inputs}
+    assert found == {INPUTS[column].column for column in (*CHANNELS.values(), VOLTAGE)}
 
 
 def test_bode_diagram_from_the_command_line(tmp_path):
