@@ -144,7 +144,7 @@ def test_states_and_their_transitions(run, client):
     assert simulator.state() == PAUSED and simulator.set(PAUSED)[0] == ALREADY
     assert simulator.set(PLAYING)[0] == OK and simulator.state() == PLAYING
     client.wait(lambda: simulator.states and simulator.steps() > 0, 'a step')
-    assert simulator.step(1) == (FAILED, 'a step needs a paused simulation')
+    assert simulator.step(1) == (FAILED, 'a step needs a paused simulation: pause it first')
     assert simulator.set(STOPPED)[0] == OK and simulator.state() == STOPPED
     assert simulator.set(STOPPED)[0] == ALREADY
     # The state is the initial one.
@@ -207,7 +207,7 @@ def test_an_action_is_canceled_or_aborted_and_others_are_served_meanwhile(run, c
     goal = simulator.begin(10**9)
     assert client.service(SetBool, '/timo_sim/pause')(data=False).success
     assert simulator.end(goal) == (
-        GoalStatus.STATUS_ABORTED, FAILED, 'a step needs a paused simulation')
+        GoalStatus.STATUS_ABORTED, FAILED, 'a step needs a paused simulation: pause it first')
     # The node ends while an action goes on.
     assert client.service(SetBool, '/timo_sim/pause')(data=True).success
     simulator.begin(10**9)

@@ -96,7 +96,8 @@ def feedforward(model: LinearModel, goal: Mapping[str, float], duration: float |
         low, high = high, 2 * high
         if high > _LONGEST:
             raise ParameterError('goal must be reachable within the limits of the inputs, got '
-                                 f'one that takes more than {low * model.dt:g} s')
+                                 f'one that takes more than {low * model.dt:g} s: raise the '
+                                 'limits')
     if high > low:  # all durations from the shortest on are possible, because a plan may wait
         high = bisect_left(range(high), True, low + 1, key=lambda k: inputs(k) is not None)
         if duration is not None:

@@ -276,7 +276,8 @@ class Observer(Stateful, PointsOfArm):
             reached = self._update(self.model.sector(state, load))(
                 state, simulator.integration.memory, load, following, len(following), readings)
             if reached < 0 and not steps:
-                raise DivergenceError(f'the estimate is not finite at t = {simulator.t:g} s')
+                raise DivergenceError(f'the estimate is not finite at t = {simulator.t:g} s: '
+                                      'take a shorter integrator.step')
             done += reached
             if reached < 0 or done == len(loads):
                 return done

@@ -199,7 +199,8 @@ class LogFile:
         for name, note in notes:
             if name == START:
                 if found.facts not in ({}, note):
-                    raise LogError(f'{self.name} has the notes of several runs')
+                    raise LogError(f'{self.name} has the notes of several runs: cut it, so that '
+                                   'each part has one')
                 found.facts.update(note)
             elif name == SUMMARY:
                 found.summary.update(note)

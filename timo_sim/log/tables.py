@@ -163,7 +163,8 @@ class Recording:
             if not 0 <= min(steps) <= max(steps) < 10**18:
                 raise ValueError
         except (CdrError, LookupError, TypeError, ValueError, RecursionError):
-            raise LogError(f'{self.title} has a malformed message on {self.name}/scene') from None
+            raise LogError(f'{self.title} has a malformed message on {self.name}/scene: '
+                           'give the scene by --scene') from None
         if events.count('start') > 1:
             raise LogError(f'{self.title} has {events.count("start")} runs of {self.name}: cut '
                            'the bag, so that each part has one')
@@ -324,7 +325,8 @@ class Recording:
         nodes = {topic.removesuffix(end) for topic in topics for end in ends
                  if topic.endswith(end)}
         if not nodes:
-            raise LogError(f'{self.title} has no topic of a node timo_sim')
+            raise LogError(f'{self.title} has no topic of a node timo_sim: record '
+                           'joint_states and ~/scene')
         if len(nodes) > 1:
             raise LogError(f'{self.title} has topics of several nodes, say which: '
                            f'{", ".join(sorted(nodes))[:200]}')

@@ -74,7 +74,7 @@ def equilibrium(model: Formulation, motion: np.ndarray, load: np.ndarray) -> np.
             found = time * slowest > _NEWTON
         time *= 4.0
     raise ValueError('no equilibrium was found: under these loads the shaft turns, or the arm '
-                     'bends, without end')
+                     'bends, without end; hold the shaft by motor.shaft or motor.spring')
 
 
 class _Forces:

@@ -227,7 +227,7 @@ class Loop:
         """Do steps while paused; return the step reached, as text, or raise StateError."""
         self._refuse_diverged()
         if not self.paused:
-            raise StateError('a step needs a paused simulation')
+            raise StateError('a step needs a paused simulation: pause it first')
         if count > MOST_STEPS:  # no other call is answered meanwhile
             raise StateError(f'a call does at most {MOST_STEPS} steps, got {count}')
         self.check_subscribers()

@@ -66,7 +66,8 @@ def send(topic: str, text: str, node: str, patience: float) -> str:
             time.sleep(0.01)
         publisher.publish(message)
         if not publisher.wait_for_all_acked(Duration(seconds=patience)):
-            raise TimeoutError(f'the subscriber of {full} does not acknowledge the command')
+            raise TimeoutError(f'the subscriber of {full} does not acknowledge the command '
+                               f'within {patience:g} s: send it again')
     finally:
         rclpy.try_shutdown()
     return f'sent to {full}'

@@ -121,7 +121,8 @@ class LinearModel:
         """
         from scipy.linalg import expm  # scipy.signal would take a quarter of a second to import
         if self.dt is not None:
-            raise ParameterError(f'the model is of discrete time already, dt = {self.dt:g} s')
+            raise ParameterError('to_discrete needs a model of continuous time, got one of '
+                                 f'dt = {self.dt:g} s')
         dt = _PERIOD.check(dt)
         states, inputs = self.B.shape
         a, b = np.hsplit(expm(dt * np.vstack([  # commands are further states, which stay

@@ -128,7 +128,7 @@ def sensitivities(scene: SceneLike, duration: float,
         worst = doubtful[np.argmax(most[doubtful] / largest[doubtful])]
         warn(f'derivatives by {len(doubtful)} of {len(names)} inputs have an estimated error '
              f'above {_MAX_ERROR:g} of the largest: {most[worst]:.1g} of {largest[worst]:.3g} by '
-             f'{names[worst]}')
+             f'{names[worst]}: give the size of a change of it that matters')
     t = scene.step * np.arange(steps // count, steps + 1, steps // count)
     return Sensitivities(names, t, value.reshape(shapes[0]), jacobian, error)
 

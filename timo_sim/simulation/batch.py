@@ -458,7 +458,8 @@ def _check(scenes):
         if scene is scenes[0] and number:
             continue
         if accuracy := scene.values['model.accuracy']:
-            raise ParameterError(f'model.accuracy = {accuracy} is not possible in a Batch')
+            raise ParameterError('model.accuracy must be 0 m in a Batch, whose scenes share modes '
+                                 f'and step, got {accuracy}: use choose_resolution')
         for name, value in lane_size(scene).items():
             if value != wanted[name]:
                 raise ParameterError(f'{name} must be the same in all scenes of a Batch, got '

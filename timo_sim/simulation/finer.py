@@ -224,7 +224,8 @@ class EstimatingSimulator(Simulator):
 
     def set_motion(self, motion: Any) -> None:
         """Raise ParameterError."""
-        raise ParameterError('set_motion needs a Simulator that does not estimate its error')
+        raise ParameterError('set_motion needs a simulator that does not estimate its error: '
+                             'take Simulator(scene)')
 
     @property
     def estimated_error(self) -> float:

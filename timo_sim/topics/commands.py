@@ -31,8 +31,8 @@ class RefusedError(ValueError):
 
 
 def _check_finite(numbers):
-    if not all(map(math.isfinite, numbers)):
-        raise RefusedError('every component must be finite')
+    if wrong := [each for each in numbers if not math.isfinite(each)]:
+        raise RefusedError(f'every component must be finite, got {wrong[0]}')
 
 
 def _forces(texts, numbers, names):

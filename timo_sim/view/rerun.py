@@ -261,7 +261,8 @@ def _show(path):
                           'picture, --save OUT.rrd writes a file for rerun elsewhere')
     code = _viewer('--port', str(_free_port()), path).wait()
     if code:
-        raise ViewerError(f'the viewer of rerun ended with code {code}')
+        raise ViewerError(f'the viewer of rerun ended with code {code}: --save OUT.rrd writes a '
+                          'file for rerun elsewhere')
 
 
 def picture(path: Path | str, png: Path | str, at: float | None = None,
@@ -346,4 +347,5 @@ def _until(condition, process):
         if found:
             return found
         time.sleep(0.05)
-    raise ViewerError(f'the viewer of rerun did not answer within {_LOADING:g} s')
+    raise ViewerError(f'the viewer of rerun did not answer within {_LOADING:g} s: try it '
+                      'again, or --save OUT.rrd')
