@@ -3,7 +3,7 @@
 
 """Fixtures and settings of all tests: scenes, reference, DDS domain, tests left out."""
 
-from contextlib import ExitStack
+from contextlib import contextmanager, ExitStack
 from importlib.util import find_spec
 import os
 from pathlib import Path
@@ -50,10 +50,10 @@ OF_ONE_SIZE = (
     'test_fit', 'test_gpu', 'test_hardware', 'test_peers', 'test_sweep', 'test_threads')
 
 
-@pytest.fixture(autouse=True, scope='module')
-def any_size(request):
+@contextmanager
+def code_for_any_size(wanted=True):
     """
-    Let most tests run code for any size of `exact`, which is half as fast and compiled once.
+    Let this process run code for any size of `exact`, which is half as fast and compiled once.
 
     For a size LLVM takes longer than 50 000 steps. The two differ in round-off (test_compiled.py).
     """
@@ -63,11 +63,18 @@ def any_size(request):
         return own(entry, *constants, any_size=any_size or (
             bool(constants) and constants[0].kind is Tables))
     with pytest.MonkeyPatch.context() as patch:
-        if not any(part.startswith(OF_ONE_SIZE)
-                   for part in request.path.relative_to(ROOT).parts):
+        if wanted:
             patch.setattr(EntryPoint, 'of', of)
         yield
     scene._shared_model.cache_clear()  # which have code of this kind
+
+
+@pytest.fixture(autouse=True, scope='module')
+def any_size(request):
+    """Let most tests run code for any size."""
+    with code_for_any_size(not any(part.startswith(OF_ONE_SIZE)
+                                   for part in request.path.relative_to(ROOT).parts)):
+        yield
 
 
 @pytest.fixture(scope='session')
