@@ -15,7 +15,6 @@ import math
 from typing import NamedTuple
 
 import numpy as np
-from numpy.typing import ArrayLike
 
 from timo_sim.compiled.constants import pack, Packed
 from timo_sim.compiled.entry import entry_point
@@ -417,18 +416,18 @@ class StrainModes(Modes):
     Modes given by strains at the nodes of a quadrature.
 
     Rows of `strains`, (2 n_g or one more, N), are curvature, then shear strain at the nodes, then
-    rotations of a clamp that gives; `stretch`, (n_g, N), are axial strains. They are polynomials
-    in each span on which the section is smooth; rotation, deflection and displacement are their
-    integrals from the root, so they are continuous where spans meet. The slope is integrated by
-    its values at the nodes of `fine`, by default those of the strains.
+    rotations of a clamp that gives. They are polynomials in each span on which the section is
+    smooth; rotation and deflection are their integrals from the root, so they are continuous where
+    spans meet. The slope is integrated by its values at the nodes of `fine`, by default those of
+    the strains.
     """
 
     def __init__(self, omega: np.ndarray, rule: Quadrature, strains: np.ndarray,
-                 fine: Quadrature | None = None, stretch: ArrayLike = 0.0) -> None:
+                 fine: Quadrature | None = None) -> None:
         super().__init__(omega)
         nodes, self._rule, self._fine = len(rule.nodes), rule, fine or rule
         self._curvature, self._shear, root = np.split(strains, [nodes, 2 * nodes])
-        self._root, self._stretch = root.sum(axis=0), np.zeros_like(self._shear) + stretch
+        self._root = root.sum(axis=0)
         self._slope = rule.integrate_to(self._fine.nodes) @ self._curvature + self._root + (
             rule.interpolate_to(fine.nodes) @ self._shear if fine else self._shear)
 
@@ -436,8 +435,20 @@ class StrainModes(Modes):
         """Return all fields, see `Modes`."""
         value, integral = self._rule.interpolate_to(xi), self._rule.integrate_to(xi)
         return [self._fine.integrate_to(xi) @ self._slope, integral @ self._curvature + self._root,
-                value @ self._curvature, value @ self._shear, value @ self._stretch,
-                integral @ self._stretch]
+                value @ self._curvature, value @ self._shear, *super().fields(xi)[4:]]
+
+
+class AxialModes(Modes):
+    """Modes of stretch alone, given by axial strains at the nodes of a quadrature, (n_g, N)."""
+
+    def __init__(self, omega: np.ndarray, rule: Quadrature, stretch: np.ndarray) -> None:
+        super().__init__(omega)
+        self._rule, self._stretch = rule, stretch
+
+    def fields(self, xi: np.ndarray) -> Sequence[np.ndarray]:
+        """Return all fields, see `Modes`."""
+        return [*super().fields(xi)[:4], self._rule.interpolate_to(xi) @ self._stretch,
+                self._rule.integrate_to(xi) @ self._stretch]
 
 
 class GalerkinModes(StrainModes):
@@ -607,5 +618,4 @@ def axial_modes(manipulator: Manipulator, count: int, constraints: Constraints) 
     _, singular, rows = np.linalg.svd(matrix @ basis, full_matrices=False)
     stretch = scale[:, np.newaxis] * (basis @ (rows.T / singular))
     stretch *= np.sign(stretch[0])
-    return StrainModes(1.0 / singular, strains, np.zeros((2 * len(scale), count)),
-                       stretch=stretch)
+    return AxialModes(1.0 / singular, strains, stretch)
