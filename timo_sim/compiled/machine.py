@@ -148,7 +148,8 @@ def specialise(code: bytes, symbols: dict[str, int], machine: Any, name: str,
     if not (any_size or caller):
         module.get_function(_ENTRY).name = name
     module.get_function(name).linkage = 'external'
-    _optimise(module, machine)
+    # What follows a first model, .0, is finer: too large for the short registers of WebAssembly.
+    _optimise(module, machine, 'wasm' in module.triple and not name.endswith('.0'))
     return module
 
 
@@ -230,11 +231,12 @@ def object_code(code: bytes, symbols: dict[str, int], machine: Any, name: str) -
     return machine.emit_object(specialise(code, symbols, machine, name))
 
 
-def _optimise(module, machine):
+def _optimise(module, machine, compact):
     # Vectors are written in the source. Those that LLVM would make of the short loops that are
     # left are slower, and take longer to make.
     options = llvm.create_pipeline_tuning_options(speed_level=3)
     options.loop_vectorization = options.slp_vectorization = False
+    options.loop_unrolling = not compact  # then only short loops, before others grow
     builder = llvm.create_pass_builder(machine, options)
     # First sizes take the place of symbols, so that work arrays become stack slots of known
     # length; then functions become parts of their callers.
@@ -245,6 +247,9 @@ def _optimise(module, machine):
     first.add_simplify_cfg_pass()
     first.add_always_inliner_pass()
     first.add_global_dead_code_eliminate_pass()
+    if compact:
+        first.add_loop_rotate_pass()
+        first.add_loop_unroll_pass()
     first.run(module, builder)
     builder.getModulePassManager().run(module, builder)
 

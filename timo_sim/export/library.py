@@ -359,9 +359,6 @@ class _Body:
                      Code.NOT_CREATED)
         return instance, *arguments
 
-    def emit_return(self):
-        self.builder.ret(ir.Constant(_INT, 0))
-
     def return_if_wrong(self, code):
         self.return_if(self.builder.not_(self.equal(code, 0)), self.builder.trunc(code, _INT))
 
@@ -382,7 +379,7 @@ class _Body:
                 self.return_if_wrong(self.call(model, each, entry, *(
                     self.at(one, begin) if one.type == _POINTER else one for one in given)))
                 begin += 8 * model.saved
-        self.emit_return()
+        self.builder.ret(ir.Constant(_INT, 0))
 
     def stage_of(self, number):
         """Return the stage of KNOWN at which an output is known."""
@@ -399,13 +396,7 @@ class _Body:
         for model, each in self.each(instance):
             self.call(model, each, steps.reset)
         self.emit_measurement_for_later(instance)
-        self.emit_return()
-
-    def copy_constants(self, instance):
-        """Copy the constants that functions change."""
-        for model, each in self.each(instance):
-            self.copy(self.data(model.actuators), model.actuators.length,
-                      self.at(each, model.instance.length))
+        self.builder.ret(ir.Constant(_INT, 0))
 
     def copy(self, source, length, goal):
         for offset in range(0, length, 8):
@@ -421,15 +412,16 @@ class _Body:
         self.fail_if(self.is_null(memory), Code.NULL_POINTER)
         self.fail_if(self.misaligned(memory), Code.BAD_MEMORY)
         self.fail_if(self.builder.icmp_unsigned('<', size, needed), Code.BAD_MEMORY)
-        self.copy_constants(memory)
+        for model, each in self.each(memory):  # the constants that functions change
+            self.copy(self.data(model.actuators), model.actuators.length,
+                      self.at(each, model.instance.length))
         self.reset_all(memory)
         instance, = self.public('reset')
         self.reset_all(instance)
 
     def define_step(self):
-        own = self.models[0]
         instance, count = self.public('step', _WORD)
-        builder = self.builder
+        own, builder = self.models[0], self.builder
         self.fail_if(builder.icmp_signed('<', count, self.word(0)), Code.NEGATIVE_STEPS)
         before, loop = builder.block, builder.append_basic_block()
         body, end = builder.append_basic_block(), builder.append_basic_block()
@@ -448,7 +440,7 @@ class _Body:
         number.add_incoming(builder.add(number, self.word(1)), builder.block)
         builder.branch(loop)
         builder.position_at_end(end)
-        self.emit_return()
+        self.builder.ret(ir.Constant(_INT, 0))
 
     def define_derivatives(self):
         own = self.models[0]
@@ -472,7 +464,7 @@ class _Body:
         self.call(own, instance, own.differentiate, places, self.word(1), state, memory, *slopes,
                   load, loads, self.word(1), units, self.word(len(own.units)), values,
                   **self.emit_choice_of_part(own, instance))
-        self.emit_return()
+        self.builder.ret(ir.Constant(_INT, 0))
 
     def define_calls(self):
         """Define the functions that are no more than calls."""
