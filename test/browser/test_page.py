@@ -42,7 +42,10 @@ class Window:
             return json.load(answer)['value']
 
     def run(self, script, *arguments):
-        return self.call('POST', '/execute/sync', script=script, args=arguments)
+        # Scripts of Firefox's driver do not see what the page declares by `let` and `class`.
+        text = f'(function() {{{script}}}).apply(null, {json.dumps(arguments)})'
+        return self.call('POST', '/execute/sync', args=[text],
+                         script='return (window.wrappedJSObject || window).eval(arguments[0])')
 
     def until(self, script, *arguments):
         """Return what a script returns when that is true, within a minute."""

@@ -127,13 +127,14 @@ def _loading_machine():
 
 
 def specialise(code: bytes, symbols: dict[str, int], machine: Any, name: str,
-               caller: str = '') -> Any:
+               caller: str = '', compact: bool = False) -> Any:
     """
     Return a module of LLVM, optimised, whose one function has a name.
 
     It is made of `intermediate_code` with the values of `symbols_of`, for a target machine. Where
     all are None it is code for any size, which takes them in an array before other arguments.
-    `caller` is intermediate code, as text, of a function of that name that calls `entry`.
+    `caller` is intermediate code, as text, of a function of that name that calls `entry`. In
+    `compact` code short loops alone are unrolled: it is faster where registers are few.
     """
     _initialise()
     module, any_size = llvm.parse_bitcode(code), None in symbols.values()
@@ -148,8 +149,7 @@ def specialise(code: bytes, symbols: dict[str, int], machine: Any, name: str,
     if not (any_size or caller):
         module.get_function(_ENTRY).name = name
     module.get_function(name).linkage = 'external'
-    # What follows a first model, .0, is finer: too large for the short registers of WebAssembly.
-    _optimise(module, machine, 'wasm' in module.triple and not name.endswith('.0'))
+    _optimise(module, machine, compact)
     return module
 
 
@@ -164,12 +164,14 @@ def _taking(symbols, name, entry):
         f'%result = call i64 @{_ENTRY}({given})', 'ret i64 %result', '}'])
 
 
-def module_for_target(entry: Any, constants: tuple[Any, ...], target: str, name: str) -> Any:
+def module_for_target(entry: Any, constants: tuple[Any, ...], target: str, name: str,
+                      compact: bool) -> Any:
     """Return the module of `specialise` for some constants' sizes; the store keeps it."""
     kinds, symbols = tuple(each.kind for each in constants), symbols_of(constants)
     code = store.read_or_make(
         f'{_digest(entry, kinds, symbols, target)}-{name}.bc', lambda: specialise(
-            intermediate_code(entry, kinds), symbols, target_machine(target), name).as_bitcode())
+            intermediate_code(entry, kinds), symbols, target_machine(target), name,
+            compact=compact).as_bitcode())
     _initialise()
     return llvm.parse_bitcode(code)
 

@@ -106,7 +106,9 @@ class _Model:
         name = f'{entry.__name__}.{self.number}'
         if name not in self._functions:
             self.modules.append(machine.module_for_target(
-                entry, constants, self._target, name))
+                entry, constants, self._target, name,
+                # The finer run is too large for the short registers of WebAssembly.
+                compact=self.number > 0 and self._target.startswith('wasm')))
             self._functions[name] = entry
         return name
 
