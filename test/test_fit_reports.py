@@ -12,10 +12,12 @@ import pytest
 from scipy.optimize import brentq, minimize_scalar
 
 import timo_sim
+from timo_sim.fitting import auto
 from timo_sim.fitting.look import look, turned
 from timo_sim.fitting.objective import Objective
-from timo_sim.fitting.problem import Problem
+from timo_sim.fitting.problem import Problem, TimeIsUp
 from timo_sim.fitting.record import Channel
+from timo_sim.fitting.search import Search
 from timo_sim.fitting.suspects import moves_one_way
 
 T = 0.002 * np.arange(1001)
@@ -75,6 +77,19 @@ def test_what_a_record_has_and_the_scene_lacks_is_the_first_suspect(name, made):
     assert shares == sorted(shares, reverse=True) and 0.0 <= shares[-1] <= shares[0] <= 1.0
     if name.startswith('dry friction'):  # its size is that of the record, to first order
         assert float(found.suspects[0].advice.partition('=')[2]) == pytest.approx(0.03, rel=0.2)
+
+
+@pytest.mark.parametrize('name, factor, unit', [
+    ('arm.young_modulus', 1.3, 'Pa'), ('motor.shaft_inertia', 1.5, 'kg m2'),
+    ('arm.length', 1.1, 'm'), ('end_effector.mass', 1.4, 'kg')])
+def test_a_wrong_value_that_is_held_is_the_first_suspect(name, factor, unit):
+    """Not an effect that looks alike, as a clamp that gives does; its value is the true one."""
+    true = ARM.values[name]
+    found = fit(record(), [each for each in FREE if each != name], more={name: factor * true})
+    text, = (text for text in found.warnings if 'look like' in text)
+    held = f'another value of {name} than {factor * true:.4g} {unit}'
+    assert text.startswith(f'the residuals look like {held} (')
+    assert float(re.search(rf'free {name}=([^)]*)\)', text)[1]) == pytest.approx(true, rel=0.03)
 
 
 @pytest.mark.parametrize('part, stiffness', [(0.2, 8.0), (0.8, 10.0)])
@@ -222,6 +237,33 @@ def test_the_effects_of_an_arm_are_chosen(made, kept):
     assert found.values['motor.shaft_inertia'] == pytest.approx(2e-3, rel=0.03)
     assert len(best) == 1 + len(kept) and 'voltage.gain' in best[-1][1]
     assert all(line in found.report() for line in found.ladder)
+
+
+@pytest.mark.parametrize('stops', [True, False])
+def test_an_effect_whose_fit_is_not_better_goes_and_one_that_was_tried_when_time_is_up_stays(
+        stops, monkeypatch):
+    """Either the second search is stopped, or what it finds predicts far worse."""
+    dry, calls = {'motor.coulomb_friction': 0.06, 'motor.coulomb_speed': 0.2, 'model.modes': 0}, []
+
+    def settle(search, *arguments, settle=Search.settle, **options):
+        calls.append(None)
+        if stops and len(calls) == 2:
+            raise TimeIsUp('its time was up')
+        return settle(search, *arguments, **options)
+
+    def predict(*arguments, predict=auto.predict):
+        found = predict(*arguments)
+        return found._replace(errors=found.errors + 9.0 * (len(calls) == 2))
+
+    monkeypatch.setattr(Search, 'settle', settle)
+    monkeypatch.setattr(auto, 'predict', predict)
+    found = fit(record({**dry, 'motor.coulomb_presliding': 0.02, 'motor.coulomb_static': 0.6})
+                .select('shaft'), ['motor.shaft_inertia', 'motor.coulomb_friction'], more=dry,
+                auto=True, quick=True)
+    name = 'presliding of the motor, which rests as on a spring: '
+    assert bool(found.scene.values['motor.coulomb_presliding']) == stops
+    assert any(line.startswith(name + 'taken' if stops else f'    {name}')
+               for line in found.ladder[-2:])
 
 
 def test_no_interval_is_printed_where_the_model_lacks_much():

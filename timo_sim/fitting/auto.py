@@ -13,7 +13,7 @@ import numpy as np
 
 from timo_sim.fitting.look import GAUGES
 from timo_sim.fitting.objective import Objective
-from timo_sim.fitting.problem import split_guess, TimeIsUp, vary
+from timo_sim.fitting.problem import Free, split_guess, TimeIsUp, vary
 from timo_sim.fitting.record import DRIVE, Record
 from timo_sim.fitting.search import INTERRUPTED, Search
 from timo_sim.fitting.suspects import BETTER, MOVING, predict, suspects
@@ -29,12 +29,17 @@ _BODIES = {'motor': ('shaft', 'torque', 'voltage'), 'carrier': ('carrier_x', 'fo
 
 
 class Choice(NamedTuple):
-    """A scene, what is free in it as texts for `fit`, values by name, and how it was found."""
+    """
+    A scene, what is free in it as texts for `fit`, values by name, and how it was found.
+
+    `weighs` is the Objective of that, with the deviations of outputs that it has found.
+    """
 
     scene: Scene
     free: list[str]
     values: dict[str, float]
     ladder: list[str]
+    weighs: Objective | None = None
     interrupted: bool = False
 
 
@@ -82,42 +87,46 @@ def choose(scene: Scene, free: list[str], objective_of: Callable[[Scene, list[st
     `keep` is called with each scene that is the best so far, and the values found.
     """
     best, line = Choice(scene, free, {}, []), ''
-    search, sure = Search(objective_of(scene, free)), best
+    search, sure, least = Search(objective_of(scene, free)), best, math.inf
     try:
         while True:
             objective = objective_of(best.scene, best.free)
+            objective.weigh_as(best.weighs)
             search = Search(objective, first=best.values)
             search.set_deadline(deadline)
             x = search.settle(starts, anew=not line)
             values = {free.name: free.value(at) for free, at in zip(objective.free, x)}
-            errors, _ = predict(objective, x)
-            error = math.exp(np.mean(errors))
+            predicted = predict(objective, x)
+            error = math.exp(np.mean(predicted.errors))
             ladder = [*best.ladder, f'{line or "the plain arm"}: {error:.2%}']
             say(f'error of the end of what is fitted, which was held out, {ladder[-1]}')
-            best = Choice(
+            if not error < least:  # than without it, however good its trial was
+                return sure._replace(ladder=[*best.ladder, f'    {line}: {error:.2%}'])
+            best, least = Choice(
                 objective.problems[0].scene_of(objective.values(x, 0)),
                 [*{each.name: each.text for problem in objective.problems
-                   for each in problem.free}.values()], values, ladder)
+                   for each in problem.free}.values()], values, ladder, objective), error
+            sure = best  # if a fit with an effect is not possible
             keep(best.scene, str(values))
             own = {**best.scene.values, **values}
             found = [each for each in suspects(  # an effect may vanish as it is fitted
-                objective, x, *search.weighted(x), _SUSPECTS, errors)
+                objective, x, *search.weighted(x), _SUSPECTS, predicted)
                 if each.ratio < math.inf and each.effect.changes(own, *each.sizes)]
             tried = [f'    with {each.name}: {each.ratio * error:.2%}' for each in found]
             say('\n'.join(['tried', *tried]))
-            best = best._replace(ladder=[*ladder, *tried])
+            best = sure = best._replace(ladder=[*ladder, *tried])
             first = min(found, key=lambda each: each.ratio, default=None)
             # What is further off than the mean predicts nothing, however much better it is.
             if first is None or not first.ratio < min(BETTER, 1.0 / error):
                 return best
             line = first.name
-            changes: dict[str, Any] = first.effect.changes(own, *first.sizes)
+            values |= zip(values, map(Free.value, objective.free, first.x))
+            changes: dict[str, Any] = first.effect.changes({**own, **values}, *first.sizes)
             scene = vary(best.scene, overrides_of({
                 name: value for name, value in changes.items()
                 if name.partition('[')[0] in own}, best.scene))
             moved = 'motor.rotor.inertia' in changes
             names = [split_guess(each)[0] for each in best.free]
-            sure = best  # if a fit with the effect is not possible
             best = best._replace(scene=scene, values={**values, **changes}, free=[
                 name.replace('motor.', 'motor.rotor.')
                 if moved and name.startswith('motor.coulomb_') else each
@@ -125,6 +134,8 @@ def choose(scene: Scene, free: list[str], objective_of: Callable[[Scene, list[st
                     name for name in first.effect.free if name not in names])
     except KeyboardInterrupt as stop:
         reason = str(stop) or INTERRUPTED
+        if best is not sure:  # it was better where it was tried
+            best.ladder.append(f'{line}: taken as it was tried')
         best = best._replace(values=best.values or search.best,
                              interrupted=not isinstance(stop, TimeIsUp))
     except (ArithmeticError, ParameterError) as error:

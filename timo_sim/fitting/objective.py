@@ -75,6 +75,11 @@ class Objective:
             raise ParameterError('the record cannot be predicted with the first guess: '
                                  f'{error}') from None
 
+    def weigh_as(self, other: Objective | None) -> None:
+        """Take the deviations of another Objective of the same records, if there is one."""
+        if other:
+            self.deviations, self._alike = [{**each} for each in other.deviations], other._alike
+
     def of_first_parts(self) -> Objective:
         """Return that of a quarter of the time of each record, and of the motion of an output."""
         part = copy(self)

@@ -441,6 +441,7 @@ def fit(scene: SceneLike | None, record: RecordLike | Sequence[RecordLike],
                         begun + _FOR_EFFECTS * (end - begun), starts)
         start, free, starts, first = choice.scene, choice.free, starts or 0, choice.values
         objective = objective_of(start, free)
+        objective.weigh_as(choice.weighs)
     others = [_held_out(start, each, free, measured, objective) for each in held]
     search = Search(objective, say, first)
     search.interrupted = choice is not None and choice.interrupted
@@ -475,7 +476,7 @@ def fit(scene: SceneLike | None, record: RecordLike | Sequence[RecordLike],
         until=first.until, scene=objective.problems[0].scene_of(objective.values(search.x, 0)),
         **known._asdict(), warnings=phases.doubts, seconds=seconds, starts=search.tried,
         others=search.others, more=more, stopped=search.stopped,
-        suspects=[each._replace(effect=None) for each in likely],
+        suspects=[each._replace(effect=None, x=None) for each in likely],
         look=seen, ladder=choice.ladder if choice else [])
     if phases.doubts:
         warn('; '.join(phases.doubts))

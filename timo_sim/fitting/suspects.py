@@ -22,11 +22,11 @@ import numpy as np
 from scipy.optimize import least_squares
 
 from timo_sim.fitting.objective import DIVERGED, Objective, times_of_motion
-from timo_sim.fitting.problem import kinds_of
+from timo_sim.fitting.problem import free_parameters, kinds_of, Problem
 from timo_sim.fitting.record import DRIVE
 from timo_sim.model.layout import INPUTS
-from timo_sim.scene.numbers import initial_scale
-from timo_sim.scene.parameters import PARAMETERS
+from timo_sim.scene.numbers import INITIAL, initial_scale
+from timo_sim.scene.parameters import ParameterError, PARAMETERS
 from timo_sim.topics.commands import JOINTS
 
 _FRICTION = 0.01, 0.1, 1.0  # sizes that are tried, of the force that accelerates the free body
@@ -45,6 +45,8 @@ _FINE = 1e-3  # error, of the spread of an output, below which others count for 
 _WORTHWHILE, _BENT = 0.5, 0.2  # share, of the largest, above which effects are fitted
 _STEP, _TOLERANCE, _MAX_RUNS = 1e-3, 1e-3, 25  # of these fits, as of `least_squares`
 _STRETCHED, _CLAMP, _DEAD = (0.1, 1.0), (0.1, 0.5), (0.02, 0.1)  # of usual sizes
+_HELD, _HELD_MOST, _HELD_FITS = 0.01, math.log(3.0), 4  # logarithms of factors; fits
+_NEARLY, _LITTLE = 3.0, 0.1  # what a held value leaves, to first order, up to which it is fitted
 _GEAR = 'motor.rotor.inertia', 'motor.gear.stiffness', 'motor.gear.damping'
 MOVING = 'initial.modal_coordinates[0]', 'initial.modal_rates[0]'
 _TILTED = 'gravity[0]', 'gravity[1]'
@@ -67,10 +69,15 @@ class _Effect(NamedTuple):
     change: Callable[..., dict[str, Any]] | None = None
     shape: Sequence[float] = ()     # further arguments, which are fitted with the sizes
     bends: bool = False             # whether its first order tells little
+    width: float = math.inf         # of a value that is held, see `Free`
 
     def changes(self, values: Mapping[str, Any], *sizes: float) -> dict[str, Any]:
         """Return what differs in a scene with these values."""
         return self.change(values, *sizes) if self.change else dict(zip(self.free, sizes))
+
+    def surprise(self, sizes: Sequence[float]) -> float:
+        """Return how far a held value would be off, in usual widths of a guess; inf of others."""
+        return abs(sizes[0]) / self.width if self.width < math.inf else math.inf
 
     def advice(self, own: Mapping[str, Any], sizes: Sequence[float]) -> str:
         """Return what to give to a fit of a scene with values of its `own`."""
@@ -89,17 +96,19 @@ class Suspect(NamedTuple):
     share: float   # of the squares of the residuals that it explains, or predicts if it was fitted
     advice: str
     ratio: float = math.inf  # of errors with it and without, see `predict`, if it was fitted
+    surprise: float = math.inf   # of another value than a held one, in usual widths of a guess
     effect: Any = None           # the _Effect; a Fit has it not
     sizes: Sequence[float] = ()  # of that
+    x: Any = None                # where a fit with it to the first two thirds ended, if there was
 
 
 def suspects(objective: Objective, x: np.ndarray, jacobian: np.ndarray,
-             residuals: np.ndarray, most: int = 0, errors: Any = None) -> list[Suspect]:
+             residuals: np.ndarray, most: int = 0, plain: Any = None) -> list[Suspect]:
     """
     Return the Suspects of a fit that has ended at x, that of the largest share first.
 
     `jacobian`, (n, p), and `residuals`, (n,), are weighted ones there. The likely ones, or as many
-    as `most`, are fitted; `errors` are those without them, see `predict`, if they are known.
+    as `most`, are fitted; `plain` is what `predict` finds without them, if it is known.
     """
     problem = objective.problems[0]
     if np.any(np.abs(here := objective.residuals(x)) >= DIVERGED):
@@ -108,7 +117,8 @@ def suspects(objective: Objective, x: np.ndarray, jacobian: np.ndarray,
     left = residuals - free @ (free.T @ residuals)
     found, tried = list[Suspect](), list[Any]()
     sided = most and moves_one_way(problem)  # then what pushes to a side looks like others
-    for effect in _effects(objective, x):
+    for effect in (*_effects(objective, x), *([] if most else _held_values(
+            problem, objective.values(x, 0)))):
         of_trials = []
         if sided and effect.free and effect.free[0].endswith(_TO_A_SIDE) and (
                 effect.free[0].rpartition('.')[0] not in problem.record.outputs):
@@ -121,6 +131,8 @@ def suspects(objective: Objective, x: np.ndarray, jacobian: np.ndarray,
                 columns = root[:, np.newaxis] * (np.column_stack(runs) - here[:, np.newaxis])
                 columns -= free @ (free.T @ columns)
                 factors, *_ = np.linalg.lstsq(columns, -left, rcond=1e-9)
+                if effect.width < math.inf:
+                    factors = np.clip(factors, -_HELD_MOST / sizes, _HELD_MOST / sizes)
                 rest, possible = left + columns @ factors, effect.low < 0.0 or factors[0] >= 0.0
                 share = float(1.0 - (rest @ rest) / (left @ left)) if possible else 0.0
                 of_trials.append((share, effect, np.append(
@@ -128,19 +140,26 @@ def suspects(objective: Objective, x: np.ndarray, jacobian: np.ndarray,
         tried += sorted(of_trials, key=lambda each: -each[0])[:1]
     tried.sort(key=lambda each: -each[0])
     own = {**problem.scene.values, **objective.values(x, 0)}
+    # Of held values that explain about as much, as a length and a stiffness do, a few are fitted.
+    held = [each for each in tried if each[1].width < math.inf]
+    near = [each for each in held if 1.0 - each[0] <= max(_LITTLE, _NEARLY * (1.0 - held[0][0]))]
+    likely = [each[1] for each in (*held[:_HELD_FITS // 2], *sorted(
+        near, key=lambda each: each[1].surprise(each[2]))[:_HELD_FITS])]
     for rank, (share, effect, sizes) in enumerate(tried):
         # What is all or nothing has no first order. Tilted planes explain a little of anything.
         worth = (rank < most or effect.bends) and effect.free != _TILTED if most else (
             share > (_BENT if effect.bends else _WORTHWHILE) * tried[0][0] or effect.low == 1.0)
-        ratio = math.inf
+        worth &= effect.width == math.inf or effect in likely
+        ratio, end = math.inf, None
         if worth:
-            errors = predict(objective, x)[0] if errors is None else errors
-            with_it, sizes = predict(objective, x, effect, sizes)
-            rise = with_it - errors  # what betters some at the cost of another betters nothing
+            plain = plain or predict(objective, x)
+            with_it = predict(objective, plain.x, effect, sizes)
+            rise, sizes, end = with_it.errors - plain.errors, with_it.sizes, with_it.x
+            # What betters some at the cost of another betters nothing.
             ratio = math.exp(np.mean(rise) if max(rise) < -math.log(BETTER) else max(rise))
             share = max(0.0, 1.0 - ratio**2)
-        found.append(Suspect(effect.name, share, effect.advice(own, sizes), ratio=ratio,
-                             effect=effect, sizes=sizes))
+        found.append(Suspect(effect.name, share, effect.advice(own, sizes), ratio,
+                             effect.surprise(sizes), effect, sizes, end))
     return sorted((each for each in found if each.share), key=lambda each: -each.share)
 
 
@@ -155,13 +174,17 @@ def moves_one_way(problem):
     return False
 
 
-def predict(objective: Objective, x: np.ndarray, effect: _Effect | None = None,
-            sizes: Any = ()) -> tuple[np.ndarray, Any]:
-    """
-    Return errors of the last third of the motion, and sizes, of a fit to the rest, near x.
+class Predicted(NamedTuple):
+    """The end of what is fitted, by a fit to what is before it."""
 
-    They are logarithms of the rms errors of outputs, each over its spread.
-    """
+    errors: np.ndarray  # logarithms of the rms errors of outputs, each over its spread
+    x: np.ndarray       # where that fit ended, (p,)
+    sizes: Any          # of its effect
+
+
+def predict(objective: Objective, x: np.ndarray, effect: _Effect | None = None,
+            sizes: Any = ()) -> Predicted:
+    """Return what is Predicted of the last third of the motion by a fit to the rest, near x."""
     whole, terms, varied = objective, [], []
     if effect:
         low = np.where(np.arange(len(sizes)) < len(effect.trials[0]), effect.low, 0.0)
@@ -178,8 +201,8 @@ def predict(objective: Objective, x: np.ndarray, effect: _Effect | None = None,
         late = objective.problems[k].record.outputs[name].t[:len(rows)] > part.ends[k]
         size = (objective.deviations[k][name] / (np.std(measured) or 1.0))**2
         terms.append(0.5 * np.log(np.mean(rows[late]**2) * size + _FINE**2))
-    return np.array(terms), (
-        x[len(objective.free):] * varied if len(varied) else sizes)
+    x, factors = np.split(x, [len(objective.free)])
+    return Predicted(np.array(terms), x, factors * varied if len(varied) else sizes)
 
 
 def name_suspects(found: list[Suspect]) -> Iterator[str]:
@@ -189,7 +212,7 @@ def name_suspects(found: list[Suspect]) -> Iterator[str]:
     if likely:
         yield 'the residuals look like ' + ', or '.join(
             f'{each.name} ({100.0 * each.share:.0f} % of their squares: {each.advice})'
-            for each in likely)
+            for each in sorted(likely, key=lambda each: each.surprise))
 
 
 def _effects(objective: Objective, x: np.ndarray) -> Iterator[_Effect]:
@@ -274,6 +297,23 @@ def _effects(objective: Objective, x: np.ndarray) -> Iterator[_Effect]:
                 change=lambda _, cut, name=each.limit, most=most: {name: most / (1.0 + cut)})
     yield _Effect('one more mode', [], [[1.0]], 1.0,
                   lambda own, on: {'model.modes': own['model.modes'] + bool(on)})
+
+
+def _held_values(problem: Problem, values: Mapping[str, float]) -> Iterator[_Effect]:
+    """Yield another value for each that is not free, and of which a fit would know a width."""
+    free = {name.partition('[')[0] for name in values}
+    channels = [*problem.record.inputs, *problem.record.outputs]
+    numbers = [name for name in problem.scene.values if not name.startswith(INITIAL)]
+    for name in (*numbers, *(f'{each}.gain' for each in channels)):
+        try:
+            each, = free_parameters([name], {}, problem.scene, problem.record)
+        except ParameterError:  # no number, or 0, which an effect would be
+            continue
+        if name not in free and each.log and not name.endswith('coulomb_speed'):
+            yield _Effect(
+                f'another value of {name} than {each.start:.4g} {each.unit}'.strip(), [name],
+                [[_HELD]], -np.inf, lambda _, size, name=name, start=each.start: {
+                    name: start * np.exp(np.clip(size, *_FACTORS))}, width=each.width)
 
 
 def _gear(own, compliance, damping=0.1, inertias=1.0):
