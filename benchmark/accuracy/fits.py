@@ -92,6 +92,7 @@ EFFECTS = {
     'held stiffness': 'arm.young_modulus', 'held inertia': 'motor.shaft_inertia',
     'held tip mass': 'end_effector.mass'}  # of which the scene has a wrong value
 SMOOTH = [name for name in FREE if name not in ('motor.coulomb_friction', DELAY)]
+HELD = 'motor.dc.torque_constant'    # which is known where another value is held
 SAME = 1.01     # ratio of residuals below which two fits ended at the same minimum
 
 
@@ -394,6 +395,8 @@ def lacking(effect, seed, duration):
          for name, each in seen.items()})
     wrong = {name: value * 1.3**random.choice([-1.0, 1.0]) for name, value in truth.items()}
     wrong['arm.damping_ratio'] = [wrong['arm.damping_ratio']]
+    if effect.startswith('held'):  # else all other values stand for the wrong one
+        wrong[HELD] = truth[HELD]
     return measured, timo_sim.load_scene({}, {**base, **wrong, **(
         {'model.modes': 1} if effect == 'mode' else {})})
 
@@ -414,9 +417,9 @@ def suspected(effect, seed, duration):
 
     begun = time.process_time()
     with mock.patch('timo_sim.fitting.result.suspects', timed):
+        held = (HELD, EFFECTS[effect]) if effect.startswith('held') else ()
         found = quiet(timo_sim.fit, scene, measured, [
-            name for name in SMOOTH if not effect.startswith('held') or name != EFFECTS[effect]],
-            starts=1)
+            name for name in SMOOTH if name not in held], starts=1)
     rest = time.process_time() - begun - sum(spent)
     return [[each.name, each.share] for each in found.suspects], [
         text for text in found.warnings if 'look like' in text], sum(spent) / rest
@@ -431,7 +434,8 @@ def all_suspected(count, duration):
     for name, words in EFFECTS.items():
         own = [each for each, task in zip(found, tasks) if task[0] == name]
         names = [names for names, says, _ in own if says]
-        first = [each[0] for each in names]
+        first = [[says[0].partition(' (')[0].removeprefix('the residuals look like '), each[0][1]]
+                 for each, says, _ in own if says]
         rivals = [next((share / each[0][1] for text, share in each if words not in text), 0.0)
                   for each in names if words and words in each[0][0]]
         rows[name] = {

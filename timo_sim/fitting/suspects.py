@@ -75,10 +75,6 @@ class _Effect(NamedTuple):
         """Return what differs in a scene with these values."""
         return self.change(values, *sizes) if self.change else dict(zip(self.free, sizes))
 
-    def surprise(self, sizes: Sequence[float]) -> float:
-        """Return how far a held value would be off, in usual widths of a guess; inf of others."""
-        return abs(sizes[0]) / self.width if self.width < math.inf else math.inf
-
     def advice(self, own: Mapping[str, Any], sizes: Sequence[float]) -> str:
         """Return what to give to a fit of a scene with values of its `own`."""
         new = {name: f'{name}={value:.2g}' for name, value in self.changes(own, *sizes).items()
@@ -96,7 +92,6 @@ class Suspect(NamedTuple):
     share: float   # of the squares of the residuals that it explains, or predicts if it was fitted
     advice: str
     ratio: float = math.inf  # of errors with it and without, see `predict`, if it was fitted
-    surprise: float = math.inf   # of another value than a held one, in usual widths of a guess
     effect: Any = None           # the _Effect; a Fit has it not
     sizes: Sequence[float] = ()  # of that
     x: Any = None                # where a fit with it to the first two thirds ended, if there was
@@ -144,7 +139,7 @@ def suspects(objective: Objective, x: np.ndarray, jacobian: np.ndarray,
     held = [each for each in tried if each[1].width < math.inf]
     near = [each for each in held if 1.0 - each[0] <= max(_LITTLE, _NEARLY * (1.0 - held[0][0]))]
     likely = [each[1] for each in (*held[:_HELD_FITS // 2], *sorted(
-        near, key=lambda each: each[1].surprise(each[2]))[:_HELD_FITS])]
+        near, key=lambda each: abs(each[2][0]) / each[1].width)[:_HELD_FITS])]
     for rank, (share, effect, sizes) in enumerate(tried):
         # What is all or nothing has no first order. Tilted planes explain a little of anything.
         worth = (rank < most or effect.bends) and effect.free != _TILTED if most else (
@@ -159,7 +154,7 @@ def suspects(objective: Objective, x: np.ndarray, jacobian: np.ndarray,
             ratio = math.exp(np.mean(rise) if max(rise) < -math.log(BETTER) else max(rise))
             share = max(0.0, 1.0 - ratio**2)
         found.append(Suspect(effect.name, share, effect.advice(own, sizes), ratio,
-                             effect.surprise(sizes), effect, sizes, end))
+                             effect, sizes, end))
     return sorted((each for each in found if each.share), key=lambda each: -each.share)
 
 
@@ -212,7 +207,7 @@ def name_suspects(found: list[Suspect]) -> Iterator[str]:
     if likely:
         yield 'the residuals look like ' + ', or '.join(
             f'{each.name} ({100.0 * each.share:.0f} % of their squares: {each.advice})'
-            for each in sorted(likely, key=lambda each: each.surprise))
+            for each in likely)
 
 
 def _effects(objective: Objective, x: np.ndarray) -> Iterator[_Effect]:
