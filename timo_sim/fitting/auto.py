@@ -100,7 +100,7 @@ def choose(scene: Scene, free: list[str], objective_of: Callable[[Scene, list[st
             error = math.exp(np.mean(predicted.errors))
             ladder = [*best.ladder, f'{line or "the plain arm"}: {error:.2%}']
             say(f'error of the end of what is fitted, which was held out, {ladder[-1]}')
-            if not error < least:  # than without it, however good its trial was
+            if not error < BETTER * least:  # than without it, however good its trial was
                 return sure._replace(ladder=[*best.ladder, f'    {line}: {error:.2%}'])
             best, least = Choice(
                 objective.problems[0].scene_of(objective.values(x, 0)),

@@ -148,7 +148,7 @@ def suspects(objective: Objective, x: np.ndarray, jacobian: np.ndarray,
         ratio, end = math.inf, None
         if worth:
             plain = plain or predict(objective, x)
-            with_it = predict(objective, plain.x, effect, sizes)
+            with_it = predict(objective, x, effect, sizes)
             rise, sizes, end = with_it.errors - plain.errors, with_it.sizes, with_it.x
             # What betters some at the cost of another betters nothing.
             ratio = math.exp(np.mean(rise) if max(rise) < -math.log(BETTER) else max(rise))
