@@ -59,6 +59,20 @@ def test_the_flow_of_an_arm_at_rest_is_that_of_its_linear_model():
     assert names['initial.shaft'] == pytest.approx(by_state['shaft_rad'], rel=1e-7)
 
 
+def test_the_only_number_of_a_list_needs_no_index():
+    """One mode of a clamped arm without loads swings back and forth."""
+    scene = timo_sim.load_scene('arm', {
+        'motor.shaft': 'locked', 'carrier.held': 'both', 'model.modes': 1,
+        'model.static_modes': 'none', 'arm.damping_ratio': [0.0],
+        'load.torque.piecewise': {'time': [], 'value': []}})
+    omega = scene.build().modes.omega[0]
+    found = timo_sim.sensitivities(
+        scene, 0.1, lambda batch: batch.motion.q[:, 0],
+        ['initial.modal_coordinates', 'initial.modal_rates'])
+    assert found.jacobian.ravel() == pytest.approx(
+        [np.cos(omega * 0.1), np.sin(omega * 0.1) / omega], abs=1e-5)
+
+
 def pendulum(parameter, change, duration):
     """Return the angle of the rigid arm in gravity, with a complex change of a parameter."""
     scene = timo_sim.load_scene(PENDULUM)

@@ -75,8 +75,8 @@ def initial_scale(name: str, scene: Scene) -> float:
 
     It moves the tip by a tenth of the arm's length, or turns it by 0.1 rad.
     """
-    base, n = _split_index(name)
-    model, length = scene.build(), scene.manipulator.arm.length
+    base, place = _split_index(name)
+    model, length, n = scene.build(), scene.manipulator.arm.length, place or 0
     if base in MODAL:  # a gear turns the shaft, and no section of the arm
         travel = model.tip_travel[3 + n] or length * model.section_turn_bound[n]
         return 0.1 * length / travel * (
