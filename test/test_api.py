@@ -284,5 +284,5 @@ def test_a_discrete_model_knows_its_period():
     frequency = np.array([0.5, 1.0])
     ratio = (sampled.frequency_response(frequency) / model.frequency_response(frequency))[:, 0, 0]
     assert np.angle(ratio) == pytest.approx(-2.0 * np.pi * frequency * 0.001, rel=1e-2)
-    with pytest.raises(timo_sim.ParameterError, match='discrete time already'):
+    with pytest.raises(timo_sim.ParameterError, match='needs a model of continuous time'):
         sampled.to_discrete(0.001)

@@ -153,8 +153,8 @@ def suspects(objective: Objective, x: np.ndarray, jacobian: np.ndarray,
             # What betters some at the cost of another betters nothing.
             ratio = math.exp(np.mean(rise) if max(rise) < -math.log(BETTER) else max(rise))
             share = max(0.0, 1.0 - ratio**2)
-        found.append(Suspect(effect.name, share, effect.advice(own, sizes), ratio,
-                             effect, sizes, end))
+        found.append(Suspect(effect.name, share, effect.advice(own, sizes), ratio=ratio,
+                             effect=effect, sizes=sizes, x=end))
     return sorted((each for each in found if each.share), key=lambda each: -each.share)
 
 

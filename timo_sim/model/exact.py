@@ -47,7 +47,7 @@ from typing import Any
 import numpy as np
 from numpy.typing import ArrayLike
 
-from timo_sim.model.blas import with_one_thread
+from timo_sim.compiled.blas import with_one_thread
 from timo_sim.model.differences import differences
 from timo_sim.model.exact_code import BAND, band_of, BANDS, sector_of, SECTORS, Tables
 from timo_sim.model.formulation import Formulation, Points

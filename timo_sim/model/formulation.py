@@ -14,8 +14,8 @@ from typing import Any, NamedTuple
 import numpy as np
 from numpy.typing import ArrayLike
 
+from timo_sim.compiled.blas import with_one_thread
 from timo_sim.compiled.constants import pack, Packed
-from timo_sim.model.blas import with_one_thread
 from timo_sim.model.bodies import Constraints, Manipulator, Quadrature
 from timo_sim.model.functions import (
     accelerations_of, coulomb, efforts, energies, Flow, gear_torque, Outline, rate_once, Root,

@@ -16,10 +16,10 @@ from typing import NamedTuple
 
 import numpy as np
 
+from timo_sim.compiled.blas import with_one_thread
 from timo_sim.compiled.constants import pack, Packed
 from timo_sim.compiled.entry import entry_point
 from timo_sim.compiled.functions import Array, Constants, magnitude, square_root, strict
-from timo_sim.model.blas import with_one_thread
 from timo_sim.model.bodies import Constraints, Manipulator, Quadrature
 
 
