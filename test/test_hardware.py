@@ -53,8 +53,9 @@ def export(folder, changes):
     """Return the shared object of the paper's scene, changed, and the URDF that names it."""
     library = folder / 'arm.so'
     settings = [text for name, value in changes.items() for text in ('--set', f'{name}={value}')]
-    return library, ElementTree.fromstring(
-        call('urdf', 'paper', *settings, '--ros2-control', library))
+    told, _, urdf = call('urdf', 'paper', *settings, '--ros2-control', library).partition('\n')
+    assert told.startswith('compiling')  # this is on stderr
+    return library, ElementTree.fromstring(urdf)
 
 
 def run(program, lines, *arguments, code=0):

@@ -667,6 +667,7 @@ def urdf(scene: str, settings: tuple[str, ...], library: str | None) -> None:
     control = None
     if library:
         from timo_sim.export.ros2_control import write_hardware
+        click.echo('compiling, which takes up to half a minute', err=True)
         control = write_hardware(loaded, values, library)
     click.echo(urdf_of(loaded.manipulator, frame_names(values), control))
 
