@@ -361,6 +361,9 @@ class _Body:
                      Code.NOT_CREATED)
         return instance, *arguments
 
+    def emit_return(self):
+        self.builder.ret(ir.Constant(_INT, 0))
+
     def return_if_wrong(self, code):
         self.return_if(self.builder.not_(self.equal(code, 0)), self.builder.trunc(code, _INT))
 
@@ -381,7 +384,7 @@ class _Body:
                 self.return_if_wrong(self.call(model, each, entry, *(
                     self.at(one, begin) if one.type == _POINTER else one for one in given)))
                 begin += 8 * model.saved
-        self.builder.ret(ir.Constant(_INT, 0))
+        self.emit_return()
 
     def stage_of(self, number):
         """Return the stage of KNOWN at which an output is known."""
@@ -398,7 +401,7 @@ class _Body:
         for model, each in self.each(instance):
             self.call(model, each, steps.reset)
         self.emit_measurement_for_later(instance)
-        self.builder.ret(ir.Constant(_INT, 0))
+        self.emit_return()
 
     def copy(self, source, length, goal):
         for offset in range(0, length, 8):
@@ -442,7 +445,7 @@ class _Body:
         number.add_incoming(builder.add(number, self.word(1)), builder.block)
         builder.branch(loop)
         builder.position_at_end(end)
-        self.builder.ret(ir.Constant(_INT, 0))
+        self.emit_return()
 
     def define_derivatives(self):
         own = self.models[0]
@@ -466,7 +469,7 @@ class _Body:
         self.call(own, instance, own.differentiate, places, self.word(1), state, memory, *slopes,
                   load, loads, self.word(1), units, self.word(len(own.units)), values,
                   **self.emit_choice_of_part(own, instance))
-        self.builder.ret(ir.Constant(_INT, 0))
+        self.emit_return()
 
     def define_calls(self):
         """Define the functions that are no more than calls."""
