@@ -9,6 +9,8 @@ import pytest
 
 from oracles.elastica import boundary_value
 import timo_sim
+from timo_sim.model.modes import modes_of
+from timo_sim.scene.static_shapes import _missing, _of_tip
 from timo_sim.simulation.finer import refine
 
 BARE = {'arm.length': 1.0, 'arm.section.height': 0.01, 'arm.section.width': 0.03,
@@ -85,6 +87,16 @@ def test_shapes_follow_the_modes_and_only_a_light_tip_has_them():
     np.testing.assert_array_equal(light.build().modes.omega[:3], clamped)
     bent = light.vary({'initial.modal_coordinates': [0.1, 0.0, 0.0]})
     assert bent.modal_count == 4 and bent.initial_motion()[6] == 0.0
+
+
+@pytest.mark.parametrize('static', [(), ('torque',), ('force',), ('force', 'torque')], ids=str)
+@pytest.mark.parametrize('tip', [{}, HEAVY], ids=['bare', 'heavy'])
+def test_what_modes_and_shapes_leave_out_of_responses_is_known_before_shapes_are(static, tip):
+    body = timo_sim.load_scene('paper', {**BARE, **tip}).manipulator
+    modes = modes_of(body, 3, static)
+    shapes = np.concatenate([modes.deflection(np.ones(1)), modes.rotation(np.ones(1))])
+    left = 1.0 - shapes / modes.omega**2 @ shapes.T / _of_tip(body.arm)[0]
+    np.testing.assert_allclose(_missing(body, 3, static), np.abs(left), rtol=1e-9, atol=1e-11)
 
 
 def test_commands_bend_a_light_tip_to_the_arc():

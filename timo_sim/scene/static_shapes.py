@@ -74,11 +74,21 @@ def _of_tip(arm: Beam) -> tuple[np.ndarray, bool]:
 
 
 @lru_cache(maxsize=64)
-def _missing(body, count, static):
-    # Returns what so many modes and static shapes leave out of these, relative, (2, 2).
-    modes = modes_of(body, count, static)
+def _left_out(body, count):
+    # Returns what so many modes leave out of the tip's responses, (2, 2).
+    modes = modes_of(body, count)
     shapes = np.concatenate(modes.fields(np.array([body.arm.length]))[:2])
-    return np.abs(1.0 - shapes / modes.omega**2 @ shapes.T / _of_tip(body.arm)[0])
+    return _of_tip(body.arm)[0] - shapes / modes.omega**2 @ shapes.T
+
+
+def _missing(body, count, static):
+    # Returns what modes and static shapes leave out of these, relative, (2, 2). A shape is all
+    # that is left of the response to its load, and answers other loads by their work on it.
+    left = _left_out(body, count)
+    for index, load in enumerate(STATIC['both']):
+        if load in static and left[index, index] > 0.0:
+            left = left - np.outer(left[index], left[index]) / left[index, index]
+    return np.abs(left / _of_tip(body.arm)[0])
 
 
 def _needed(body, count, left_out, further):
