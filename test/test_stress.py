@@ -131,3 +131,9 @@ def test_linear_models_of_heavy_tips(number):
     """They converge with the modes, down to the round-off of elements with a heavy tip."""
     few, many = (np.array(numerics.linear_errors(number, modes)) for modes in (3, 8))
     assert (many < np.maximum(1e-4, 0.1 * few)).all() and few.max() < 0.01
+
+
+def test_linear_models_known_by_hand():
+    """A beam of Euler and Bernoulli, and two bodies on the spring of a gear."""
+    for errors in numerics.section_errors, numerics.gear_errors:
+        assert max(errors(np.random.default_rng(1))) < 1e-4

@@ -189,7 +189,7 @@ def gear_errors(random):
     """Return errors of the shaft's gain far above, and of the frequency of two bodies."""
     spring, inertia, rotor, play = np.exp(random.uniform([2.0, -5.0, -7.0, -7.0],
                                                          [8.0, 1.0, 0.0, -2.0]))
-    scene = timo_sim.load_scene({
+    scene = timo_sim.load_scene({}, {
         'arm.length': 0.4, 'model.modes': 0, 'carrier.held': 'both', 'initial.shaft': 0.0,
         'end_effector.mass': 0.0, 'end_effector.inertia': 0.0, 'motor.shaft_inertia': inertia,
         'motor.gear.stiffness': spring, 'motor.rotor.inertia': rotor,
