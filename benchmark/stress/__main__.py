@@ -7,9 +7,12 @@ Stress tests of numerics, node and log: `make stress` fills doc/stress.md.
 That takes an hour and a half; `--quick` prints a part of it; `--parts Node` makes a part anew.
 """
 
+import warnings
+
 from benchmark.report import make_page, table
 from benchmark.stress import at_rest, axial, c_code, in_motion, log, node, numerics
 from benchmark.stress.scenes import cell, hard_cell, laden_cell
+from timo_sim import ModelWarning
 
 
 def scenes(make, full, quick_part):
@@ -42,4 +45,5 @@ PARTS = {
     'C code': c_code.part, 'Node': faults(node), 'Log': faults(log)}
 
 if __name__ == '__main__':
+    warnings.filterwarnings('ignore', 'is this meant', ModelWarning)  # random values are not
     make_page(__spec__, __doc__, 'stress.md', PARTS, 'a few minutes')
