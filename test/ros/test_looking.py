@@ -7,6 +7,7 @@ import contextlib
 import os
 from pathlib import Path
 import pty
+import re
 import signal
 import subprocess
 import sys
@@ -16,6 +17,7 @@ import numpy as np
 import pytest
 from ros_process import PATIENCE
 from sensor_msgs.msg import JointState
+from std_srvs.srv import SetBool
 
 import timo_sim
 from timo_sim.log.tables import Recording
@@ -183,11 +185,53 @@ def test_a_command_is_sent_and_acknowledged_or_it_is_said_that_nobody_listens(st
     told = {name: (each.communicate()[0], each.returncode) for name, each in said.items()}
     words, code = told.pop('motor_voltage')  # this motor has none
     assert code == 1 and '/timo_sim/motor_voltage has no subscriber' in words
-    assert told == {name: (f'sent to /timo_sim/{name}\n', 0) for name in SENT}
+    assert told == {name: (f'sent to /timo_sim/{name}; the node is running\n', 0) for name in SENT}
     assert node.end()[0] == 0
     topics = Recording(node.log).topics
     for name, (_, values) in SENT.items():
         assert np.array_equal(topics[f'~/{name}'].values, [values], equal_nan=True), name
+
+
+def said(topic, message):
+    """Return the exit code of `timo_sim send`, and what it says."""
+    result = subprocess.run(
+        [sys.executable, '-m', 'timo_sim', 'send', topic, message, '--wait', str(PATIENCE)],
+        text=True, stdout=subprocess.PIPE, stderr=subprocess.STDOUT)
+    return result.returncode, result.stdout.strip()
+
+
+def test_what_a_sent_command_does_is_said(start, client):
+    """Its frame must be one of this node, which is paused."""
+    node = start('-p', 'frame.arm:=link', start_paused=True)
+    sent = {topic: said(topic, message) for topic, message in (
+        ('motor_torque', '2'),
+        ('tip_wrench', '{header: {frame_id: link}, wrench: {force: {z: 1}}}'),
+        ('joint_command', '{name: [elbow], effort: [1]}'))}
+    for topic, (code, words) in sent.items():
+        effect = {'motor_torque': '', 'tip_wrench': '; no effect of force.z: the arm moves in a '
+                  'plane, the carrier without turning', 'joint_command': "; no effect: 'elbow' is "
+                  "none of ('carrier_x', 'carrier_y', 'shaft')"}[topic]
+        assert (code, words) == (0, f'sent to /timo_sim/{topic}{effect}; the node is paused: the '
+                                 'command acts when it goes on, a reset drops it')
+    code, words = said('tip_wrench', '{header: {frame_id: arm}, wrench: {force: {y: 1}}}')
+    assert code == 2 and "frame_id must be empty, 'world', 'link' or 'tip', got 'arm'" in words
+    states = client.collect(JointState, '/joint_states')
+    assert client.service(SetBool, '/timo_sim/pause')(data=False).success
+    client.wait(lambda: states and states[-1].position[2], 'a motion')
+    assert 'refused' not in node.end()[1]
+    topics = Recording(node.log).topics
+    assert topics['~/motor_torque'].values.tolist() == [[2.0, 0.0]]
+    assert topics['~/tip_wrench'].values.shape == (1, 7)
+
+
+def test_of_a_node_that_diverged_it_is_said_that_it_needs_a_reset(start, client):
+    node = start(record=False)
+    assert said('motor_torque', '1.0e+300')[0] == 0
+    client.wait(lambda: 'paused, ' in node.output(), 'the end of the motion')
+    code, words = said('motor_torque', '0')
+    assert code == 0 and re.search(
+        'the node is paused, the state diverges .*: ~/reset goes back to the start and drops the '
+        'command', words)
 
 
 @pytest.mark.parametrize('topic, message, words', [

@@ -22,7 +22,7 @@ from timo_sim.log.write import Channel, Recorder
 from timo_sim.ros.private import take
 from timo_sim.simulation.snapshot import Snapshot
 from timo_sim.topics.cdr import CdrError, pack, Reader, Serializer
-from timo_sim.topics.commands import COMMANDS, GROUPS, JOINTS, RefusedError, TIMED_OUT
+from timo_sim.topics.commands import COMMANDS, GROUPS, RefusedError, TIMED_OUT
 from timo_sim.topics.outputs import in_frames
 
 _DISCOVERY_TIME = 10.0  # [s] of wall time in which a new subscriber discovers the publisher, too
@@ -121,9 +121,6 @@ class MotionOutlet(Outlet):
             self.send(self.under_way.pop(measured), measured, nanoseconds)
 
 
-_WRENCH = 'force.x', 'force.y', 'force.z', 'torque.x', 'torque.y', 'torque.z'
-
-
 class Inlet:
     """
     The subscription to a command topic; the loop polls it under the node's lock.
@@ -161,13 +158,8 @@ class Inlet:
                 f'command dropped, its stamp is {stamp} ns, that of the state {answered} ns; '
                 'with sync: wait a controller copies that of joint_states', once=True)
             return False
-        names = texts[1:] if self.command.name == '~/joint_command' else []
-        if names and {*names}.isdisjoint(JOINTS):
-            self.logger.warning(f'no effect: {names[0][:40]!r} is none of {JOINTS}', once=True)
-        ignored = [_WRENCH[place] for place in self.command.unused if lists[0][place]]
-        if ignored:
-            self.logger.warning(f'no effect of {", ".join(ignored)}: the arm moves in a plane, '
-                                'the carrier without turning', once=True)
+        if idle := self.command.no_effect(texts, lists):
+            self.logger.warning(idle, once=True)
         self.pending = row, data
         return True
 

@@ -24,6 +24,7 @@ COMMANDED, ALONG_TIP, ACROSS_TIP = len(_COMMANDED), LOADS, LOADS + 1
 GROUPS = {name: [column for column, each in enumerate(_COMMANDED) if each.group == name]
           for name in dict.fromkeys(each.group for each in _COMMANDED) if name}
 JOINTS = 'carrier_x', 'carrier_y', 'shaft'
+_WRENCH = 'force.x', 'force.y', 'force.z', 'torque.x', 'torque.y', 'torque.z'
 
 
 class RefusedError(ValueError):
@@ -123,6 +124,15 @@ class Command(NamedTuple):
         found = self.load(texts, lists, frames)
         return np.concatenate([found.get(group, [math.nan] * len(GROUPS[group]))
                                for group in self.groups])
+
+    def no_effect(self, texts: Sequence[str], lists: Sequence[Sequence[float]]) -> str:
+        """Return which part of a message has no effect, as text; '' if all of it has."""
+        names = texts[1:] if self.load is _joint_command else []
+        if names and {*names}.isdisjoint(JOINTS):
+            return f'no effect: {names[0][:40]!r} is none of {JOINTS}'
+        parts = ', '.join(_WRENCH[place] for place in self.unused if lists[0][place])
+        return parts and (f'no effect of {parts}: the arm moves in a plane, the carrier without '
+                          'turning')
 
     def apply(self, row: np.ndarray, commanded: np.ndarray) -> set[str]:
         """Write a row into commanded values, (COMMANDED,); return the groups that it sets."""
