@@ -174,21 +174,21 @@ def in_short():
         ('', ''),
         ('truth', 'With five modes the tip agrees with extrapolated finite elements to 2 µm in a '
                   'deflection of 88.7 mm ([picture](doc/arm.png), `make picture`).'),
-        ('speed', f'For errors of {goals[0]}, {goals[1]} and {goals[2]} at the tip, the best '
-                  f'engine (MuJoCo, exudyn) takes {solver[0]}, {solver[1]} and {solver[2]} times '
-                  f'as long in the solver, and {whole[0]}, {whole[1]} and {whole[2]} times from a '
-                  'loaded scene with our measured error. Rigid links, programmed by hand for this '
-                  f'arm, take {links["seconds"][0]}, {links["seconds"][1]} and '
-                  f'{links["seconds"][2]} times as long in the solver. They measure no error; '
-                  f'where ours is measured, they take {links["whole_s"][0]}, '
-                  f'{links["whole_s"][1]} and {links["whole_s"][2]} times as long as we. '
-                  '[How](doc/benchmark.md)'),
-        ('real arms', f'{len(held)} fits of records of six laboratories, the part that was not '
-                      f'fitted: R^2 from {shaft[0]:.2f} to {shaft[-1]:.2f} for the shaft and from '
-                      f'{tip[0]:.2f} to {tip[-1]:.3f} for tip, strain or cart; {good} reach 0.95 '
-                      'for both. Without a choice by hand, '
-                      f'{sum(r2 >= 0.9 for r2 in alone)} of {len(alone)} outputs of new records '
-                      'reached 0.9 when they were blind. [How](doc/real_arm.md)'))
+        ('speed', f'Processor time at tip errors of {goals[0]}, {goals[1]} and {goals[2]}: the '
+                  f'best engine (MuJoCo, exudyn) takes {solver[0]}, {solver[1]} and {solver[2]} '
+                  f'times ours for the steps alone, and {whole[0]}, {whole[1]} and {whole[2]} '
+                  'times ours from a loaded scene to a result, although our time then includes '
+                  'the measured error. Rigid links, programmed by hand for this arm, take '
+                  f'{links["seconds"][0]}, {links["seconds"][1]} and {links["seconds"][2]} times '
+                  'our steps. They measure no error: from scene to result they take '
+                  f'{links["whole_s"][0]}, {links["whole_s"][1]} and {links["whole_s"][2]} times '
+                  'ours. [How](doc/benchmark.md)'),
+        ('real arms', f'{len(held)} fits to records of six laboratories predict the part of the '
+                      f'record that was held out with R^2 from {shaft[0]:.2f} to {shaft[-1]:.2f} '
+                      f'for the shaft and from {tip[0]:.2f} to {tip[-1]:.3f} for tip, strain or '
+                      f'cart; {good} of them reach 0.95 for both. In blind tests on new records '
+                      f'the automatic fit reached 0.9 for {sum(r2 >= 0.9 for r2 in alone)} of '
+                      f'{len(alone)} outputs. [How](doc/real_arm.md)'))
 
 
 def _scene(part):
