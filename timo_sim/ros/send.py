@@ -3,6 +3,7 @@
 
 """One command for a running node, sent by a process of its own."""
 
+from itertools import chain
 import struct
 import time
 
@@ -55,7 +56,7 @@ def _state(sender, node, reports, end):
     """Return what a node's next report of /diagnostics says about its time, as text."""
     while time.monotonic() < end:
         rclpy.spin_once(sender, timeout_sec=0.1)
-        for status in reports:
+        for status in chain.from_iterable(array.status for array in reports):
             if status.name == f'{node.removeprefix("/")}: simulation':
                 state = {each.key: each.value for each in status.values}['state']
                 if state != 'paused':
@@ -93,7 +94,7 @@ def send(topic: str, text: str, node: str, patience: float) -> str:
         sender = rclpy.create_node('send')
         publisher = sender.create_publisher(message_class(command.type_name), full, 10)
         sender.create_subscription(
-            DiagnosticArray, '/diagnostics', lambda array: reports.extend(array.status), 10)
+            DiagnosticArray, '/diagnostics', reports.append, 10)
         while not publisher.get_subscription_count():
             if time.monotonic() > end:
                 raise TimeoutError(f'{full} has no subscriber: the node is not running, has '
