@@ -575,7 +575,7 @@ BAD_ARGUMENTS = [
     (dict(free=['arm.length=l']), 'arm.length must be NAME, NAME=VALUE.*, got l'),
     (dict(free=['arm.length~-5%']), 'arm.length must be .* > 0, got -5%'),
     (dict(free=['initial.shaft~x3']), 'initial.shaft must be .*a factor.*, got x3'),
-    (dict(free=['initial=0.3']), 'initial is many numbers, and takes no value, got 0.3'),
+    (dict(free=['initial=0.3']), 'initial must be given without a value, since it .*, got 0.3'),
     (dict(free=['arm.length'], bounds={'arm.section.width': (1.0, 2.0)}), 'need it to be free'),
     (dict(free=['arm.length'], hold_out=1.0), 'hold_out must be .*<= 0.95, got 1'),
     (dict(free=['arm.length'], loss='squared'), 'loss must be one of linear, soft_l1')
@@ -590,7 +590,7 @@ def test_bad_arguments():
 
 
 BAD_RECORDS = [
-    ({'torqe': (T, T)}, SHAFT, 'torqe is no input of a record, .*did you mean torque'),
+    ({'torqe': (T, T)}, SHAFT, 'torqe is no input of a record: .*did you mean torque'),
     ({}, {'tip': (T, T)}, 'tip is no output of a record'),
     ({}, {}, 'a record must have an output'),
     ({}, {'shaft': (T, T[:-1])}, 'shaft must have as many times as values'),

@@ -184,5 +184,5 @@ def _check_keys(place, entry, known):
         raise ParameterError(f'{place} must have some of {", ".join(known)}, got {short(entry)}')
     for key in entry:
         if key not in known:
-            raise ParameterError(f'{place}: {short(key, str)} is not known, but '
+            raise ParameterError(f'{place}: {short(key, str)} is not known: take '
                                  f'{", ".join(known)}{did_you_mean(key, known)}')

@@ -91,7 +91,8 @@ def free_parameters(names: Sequence[str], bounds: Mapping[str, Sequence[float]],
     wanted = [name for name, *_ in guesses]
     for name, value, _ in map(split_guess, names):
         if name == INITIAL and value:
-            raise ParameterError(f'{name} is many numbers, and takes no value, got {value}')
+            raise ParameterError(f'{name} must be given without a value, since it stands for '
+                                 f'several numbers, got {value}')
     for place, name in enumerate(wanted):
         if name in wanted[:place]:
             raise ParameterError(f'{name} is free twice')

@@ -151,7 +151,7 @@ class Record:
         for kept, given, known, kind in rules:
             for name, channel in given.items():
                 if name not in known:
-                    raise ParameterError(f'{short(name, str)} is no {kind} of a record, but '
+                    raise ParameterError(f'{short(name, str)} is no {kind} of a record: take '
                                          f'{", ".join(known)}{did_you_mean(name, known)} '
                                          f'({source})')
                 kept[name] = _check_channel(name, channel, source, kind == 'output')
@@ -179,7 +179,7 @@ class Record:
         """Return the record with these outputs alone; ParameterError if it has not got one."""
         for name in outputs:
             if not isinstance(name, str) or name not in self.outputs:
-                raise ParameterError(f'{short(name, str)} is no output of this record, but '
+                raise ParameterError(f'{short(name, str)} is no output of this record: take '
                                      f'{", ".join(self.outputs)} ({self.source})')
         return replace(self, outputs={name: self.outputs[name] for name in outputs})
 

@@ -65,7 +65,7 @@ def response_of(mapping: Mapping[str, Any], table: Any, source: str) -> Response
     for name, entry in outputs.items():
         for key in entry:
             if key not in _KEYS:
-                raise ParameterError(f'outputs: {name}: {short(key, str)} is not known, but '
+                raise ParameterError(f'outputs: {name}: {short(key, str)} is not known: take '
                                      f'{", ".join(_KEYS)}{did_you_mean(key, _KEYS)}')
         if {'real', 'imaginary'} <= entry.keys():
             measured = numbers(entry['real']) + 1j * numbers(entry['imaginary'])

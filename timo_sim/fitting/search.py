@@ -119,8 +119,8 @@ class Search:
         if starts != 0 and not objective.is_white(best.x) and not self._is_doubtful(best.x, 1):
             # A first part may have led away from a guess that is good.
             again = self._end(self._solve(_LOOSE, self.first).x)
-            self._tell(f'from the first guess without a first part: {again.cost / best.cost:.3g} '
-                       'times the squares')
+            self._tell(f'fitted all records at once from the first guess: the squares are '
+                       f'{again.cost / best.cost:.3g} times as large')
             minima.append(again)
             best = min(best, again, key=lambda each: each.cost)
         apart = [best.x]
@@ -147,8 +147,8 @@ class Search:
         for number in range(1, _MAX_SEARCHES + 1):
             x = self._solve(_LOOSE, x).x
             change = self.objective.estimate_deviations(x)
-            self._tell(f'search {number} of up to {_MAX_SEARCHES} with the deviations of the '
-                       f'sensors that it finds: they change by {change:.2g}')
+            self._tell(f'search {number} of up to {_MAX_SEARCHES}: its residuals change the '
+                       f'standard deviations of the sensors by {change:.2g}')
             if change < enough:
                 break
         return x
@@ -160,8 +160,8 @@ class Search:
             if best.fall < _FLAT:
                 break
             again = self._solve(accuracy, best.x)
-            self._tell(f'its gradient foresaw squares lower by {best.fall:.1g} of them: '
-                       f'{again.cost / best.cost:.6g} times these were found')
+            self._tell(f'the gradient predicted squares lower by {best.fall:.1g} of them; the '
+                       f'next search found {again.cost / best.cost:.6g} times as large ones')
             if not again.cost < best.cost:
                 continue
             best = again

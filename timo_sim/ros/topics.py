@@ -149,14 +149,14 @@ class Inlet:
         except (CdrError, RefusedError) as reason:
             self.refused += 1
             self.logger.warning(
-                f'command refused, {reason}; the last one stays in force',
+                f'command refused, {reason}; the previous command stays in force',
                 throttle_duration_sec=5.0)
             return False
         if stamp and answered is not None and stamp != answered:
             self.mismatched += 1
             self.logger.warning(
-                f'command dropped, its stamp is {stamp} ns, that of the state {answered} ns; '
-                'with sync: wait a controller copies that of joint_states', once=True)
+                f'command dropped, its stamp is {stamp} ns, that of the state {answered} ns: '
+                'with sync: wait copy the stamp of joint_states', once=True)
             return False
         if idle := self.command.no_effect(texts, lists):
             self.logger.warning(idle, once=True)

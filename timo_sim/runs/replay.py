@@ -129,7 +129,7 @@ def replay(file: str | Path, changes: Mapping[str, Any] | None = None,
     if ground:
         say(f'logged with {ground}: last bits may differ')
     if same and differing and not repeats:
-        say('a bag does not say at which step a command began to act, but in lock step')
+        say('only a bag recorded in lock step says at which step a command began to act')
     if log:
         say(f'new log: {log.path}')
     if again.diverged:
