@@ -25,14 +25,20 @@ class Arm {
     this.code = exports;
     this.tables = tables;
     this.station = 0;
+    this.loaded = true;
     this.instance = (exports.__heap_base.value + 63) & ~63;
     this.room = (this.instance + scene.size + 63) & ~63;
-    const end = this.room + 8 * Math.max(2 * POINTS, scene.outputs.length);
+    const end = this.room + Math.max(
+      8 * 2 * POINTS, 8 * scene.outputs.length, ...scene.blocks.map(([, , length]) => 4 * length));
     const missing = end - exports.memory.buffer.byteLength;
     if (missing > 0) exports.memory.grow(Math.ceil(missing / 65536));
     this.bytes = new Uint8Array(exports.memory.buffer);
     this.inputs = Object.fromEntries(scene.inputs.map(([name], number) => [name, number]));
     this.places = Object.fromEntries(scene.outputs.map((name, number) => [name, number]));
+    this.blocks = scene.blocks.map(([symbol, offset, length, rows, step]) => {
+      const place = exports[symbol].value + offset;
+      return { place, rows, step, own: this.bytes.slice(place, place + length) };
+    });
     this.loads = scene.loads.map(([symbol, offset, size]) => {
       const place = exports[symbol].value + offset;
       return [place, this.bytes.slice(place, place + size)];
@@ -77,23 +83,35 @@ class Arm {
     return this.numbers(1)[0];
   }
 
-  // Put the constants of another arm in place: exclusive-or with those of the scene.
+  // Put the constants of another arm in place: exclusive-or with those of the scene. Propagators
+  // are made of their linear parts, of so many rows.
   choose(station) {
-    for (const number of [this.station, station]) {
-      if (!number) continue;
-      const size = this.scene.symbols.reduce((sum, [, length]) => sum + length, 0);
-      let from = (number - 1) * size;
-      for (const [symbol, length] of this.scene.symbols) {
-        const place = this.code[symbol].value;
-        for (let k = 0; k < length; ++k) this.bytes[place + k] ^= this.tables[from + k];
-        from += length;
-      }
+    let from = (station - 1) * this.tables.length / (this.scene.loops.length - 1);
+    for (const { place, own, rows, step } of this.blocks) {
+      this.bytes.set(own, place);
+      if (!station) continue;
+      const table = this.tables.subarray(from, from += 8 * rows ** 2 || own.length);
+      if (rows) this.bytes.set(this.propagator(table, rows, step, own.length), place);
+      else table.forEach((value, k) => { this.bytes[place + k] ^= value; });
     }
     this.station = station;
+    this.useLoads(this.loaded);
+  }
+
+  // See etdrk4.propagate, which needs half as much room again as a propagator, of zeros.
+  propagator(linear, rows, step, length) {
+    const scale = this.room + 1.5 * length, series = scale + 8 * rows;
+    const begin = series + 8 * this.scene.series.length;
+    this.bytes.fill(0, this.room, scale);
+    new Float64Array(this.bytes.buffer, series).set(this.scene.series);
+    this.bytes.set(linear, begin);
+    this.code.propagate(begin, BigInt(rows), step, series, scale, this.room);
+    return this.bytes.subarray(this.room, this.room + length);
   }
 
   // Take the loads of the scene away, or give them back; no table changes them.
   useLoads(used) {
+    this.loaded = used;
     for (const [place, content] of this.loads) {
       if (used) this.bytes.set(content, place);
       else this.bytes.fill(0, place, place + content.length);

@@ -61,6 +61,7 @@ class _Model:
             Steps(scene.build(tip, tip_of(scene)), scene.step, scene.bristles)
             for _, *tip in scene.payloads)]
         self.parts = [*zip(*(each.part(sector) for each in tips for sector in self.sectors))]
+        self._tips, self.step = tips, scene.step
         self.tables, self.beyond, self.seen = zip(*(
             (each.model.packed, each.model.beyond.packed, each.model.seen.packed)
             for each in tips))
@@ -90,6 +91,12 @@ class _Model:
         return [*self.plant, self.loads, *self.tables, *self.beyond, *self.seen, self.actuators,
                 self.root, self.outline, self.errors, *self.bristles,
                 *(each for parts in self.parts for each in parts)]
+
+    @property
+    def linear(self):
+        """What each propagator is made of, as `etdrk4.propagator` takes it."""
+        return [each.model.in_sector(sector)[1].T
+                for each in self._tips for sector in self.sectors]
 
     @property
     def length(self):
@@ -528,9 +535,9 @@ class Library(NamedTuple):
         """
         Return the constants of other simulators of the same sizes, those of all symbols.
 
-        Raises ValueError if their sizes differ.
+        In place of a propagator is its linear part, (m, m). Raises ValueError if sizes differ.
         """
-        found = {}
+        found, contents = {}, {}
         for model, simulator in zip(self.models, simulators, strict=True):
             other = _Model(simulator, model.number, '', self.interface)
             for own, each in zip(model.blocks, other.blocks, strict=True):
@@ -538,8 +545,9 @@ class Library(NamedTuple):
                     raise ValueError(f'sizes of {own.kind.__name__} are others')
                 if bytes(found.setdefault(id(own), each).memory) != bytes(each.memory):
                     raise ValueError(f'two of {own.kind.__name__} are not the same')
-        return b''.join(bytes(found[id(own)].memory[:own.length])
-                        for group in self.constants.values() for own in group)
+                contents[id(own)] = bytes(each.memory[:own.length])
+            contents |= zip(map(id, model.parts[1]), (each.tobytes() for each in other.linear))
+        return b''.join(contents[id(own)] for group in self.constants.values() for own in group)
 
 
 def library(scene: Scene, estimate: bool, target: str, name: str,

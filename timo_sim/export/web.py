@@ -5,8 +5,8 @@
 Export of scenes as a page: one HTML file that a browser opens from a folder, without a network.
 
 The page has the object file of a scene as WebAssembly, and tables of constants that take the place
-of its own: those of arms with another mass at the tip, damping or stiffness. `arm.js` runs and
-draws it.
+of its own: those of arms with another mass at the tip, damping or stiffness. Their propagators,
+nine tenths of all, it makes of linear parts itself. `arm.js` runs and draws it.
 """
 
 from __future__ import annotations
@@ -26,6 +26,7 @@ import zlib
 
 import numpy as np
 
+from timo_sim.compiled import machine
 from timo_sim.control.shaping import shaper
 from timo_sim.export.constants import interface_of, refuse, simulators_of
 from timo_sim.export.library import library
@@ -37,6 +38,7 @@ from timo_sim.scene.parameters import (
     checked, fixed_axes, FLAG, FUNCTION, ParameterError, PATH)
 from timo_sim.scene.scene import load_scene, Scene, scene_from, SceneLike
 from timo_sim.simulation.warnings import inaccurate, MOST_APART
+from timo_sim.steps import etdrk4
 from timo_sim.version import __version__
 from timo_sim.view.track import body_of
 
@@ -97,15 +99,17 @@ def find_linker() -> None:
                       'apt-get install lld (brew install lld)')
 
 
-def link_wasm(content: bytes) -> bytes:
-    """Return the WebAssembly of an object file; it imports nothing."""
+def link_wasm(*contents: bytes) -> bytes:
+    """Return the WebAssembly of object files; it imports nothing."""
     find_linker()
     with tempfile.TemporaryDirectory() as folder:
-        Path(folder, 'arm.o').write_bytes(content)
+        files = [f'{number}.o' for number in range(len(contents))]
+        for file, content in zip(files, contents):
+            Path(folder, file).write_bytes(content)
         # A stack at the beginning of the memory traps where it overflows.
         done = subprocess.run(
             ['wasm-ld', '--no-entry', '--strip-all', '--export-dynamic', '--export=__heap_base',
-             '--stack-first', '-z', f'stack-size={_STACK}', '-o', 'arm.wasm', 'arm.o'],
+             '--stack-first', '-z', f'stack-size={_STACK}', '-o', 'arm.wasm', *files],
             cwd=folder, capture_output=True, text=True)
         if done.returncode:
             raise OSError(f'wasm-ld cannot link the arm: {done.stderr.strip()}')
@@ -120,9 +124,8 @@ def _scene(name: str, scene: Scene, estimate: bool) -> dict[str, Any]:
         inaccurate(scene, 1.0, 0.0) or '').partition('1 m')
     return {
         'name': name, 'step': scene.step, 'size': made.size,
-        'wasm': _deflated(link_wasm(made.content)), 'tables': _deflated(tables),
-        'symbols': [[symbol, sum(each.length for each in group)]
-                    for symbol, group in made.constants.items()],
+        'wasm': _deflated(link_wasm(made.content, _propagate())), 'tables': _deflated(tables),
+        'blocks': _blocks(made), 'series': etdrk4.SERIES.tolist(),
         'loads': [*_loads(made)] if scene.load and values['motor.shaft'] != 'driven' else [],
         'inputs': [[each.title, each.unit, each.meaning] for each in interface.inputs],
         'outputs': [each.title for each in interface.outputs],
@@ -132,6 +135,24 @@ def _scene(name: str, scene: Scene, estimate: bool) -> dict[str, Any]:
         'free': [fixed_axes(values) not in (axis, 'both') for axis in 'xy'],
         'warning': [along, meant, MOST_APART * scene.manipulator.arm.length],
         'about': f'{name}: {repr(scene).partition(": ")[2].rpartition(", ")[0]}'}
+
+
+def _propagate():
+    """Return an object file that makes propagators, `propagate`, of any size."""
+    return machine.object_code(machine.intermediate_code(etdrk4.propagate, ()), {},
+                               machine.target_machine(TARGET), 'propagate')
+
+
+def _blocks(made):
+    """
+    Return the constants: symbol, offset and length [B], and of propagators size and step [s].
+
+    Both are 0 for other constants.
+    """
+    steps = {id(each): model.step for model in made.models for each in model.parts[1]}
+    return [[symbol, sum(each.length for each in group[:number]), packed.length,
+             packed.sizes['state'] if id(packed) in steps else 0, steps.get(id(packed), 0.0)]
+            for symbol, group in made.constants.items() for number, packed in enumerate(group)]
 
 
 def _loads(made):
@@ -154,11 +175,15 @@ def _stations(scene, estimate, made):
     """
     Return what the page needs of arms that differ.
 
-    That is what is exclusive-or of their constants and those of the scene, one after another;
-    the sliders that choose them, each with its values and the number of each arm, 0 is the
+    That is what is exclusive-or of their constants and those of the scene, one after another, but
+    the linear parts of propagators as they are; the sliders that choose them, each with its values and the number of each arm, 0 is the
     scene's own; and the closed loops of all arms by number.
     """
-    own = np.frombuffer(made.constants_of(simulators_of(scene, estimate)), np.uint8)
+    begin, own = 0, np.frombuffer(
+        bytearray(made.constants_of(simulators_of(scene, estimate))), np.uint8)
+    for _, _, length, size, _ in _blocks(made):
+        begin += 8 * size**2 or length
+        own[begin - 8 * size**2:begin] = 0
     tables, sliders, loops = [], [], [_loop(scene)]
     for label, unit, shown, changes in _variations(scene):
         chosen = []

@@ -44,20 +44,20 @@ def propagator(linear: np.ndarray, step: float) -> Propagator:
     """Return the matrices of a step h [s] for linear parts L, shape (..., m, m) [1/s]."""
     size, count = linear.shape[-1], len(Propagator._fields)
     every = np.ascontiguousarray(linear, dtype=float).reshape(-1, size * size)
-    found, compute = np.empty((len(every), count, size, size)), _propagate.of()
+    found, compute = np.empty((len(every), count, size, size)), propagate.of()
     scale, room = np.empty(size), np.zeros((_MATRICES, size, -(-size // WIDTH) * WIDTH))
     rows = room.reshape(-1, WIDTH)
     for out, each in zip(found, every):
-        compute(each, size, step, _SERIES, scale, rows)
+        compute(each, size, step, SERIES, scale, rows)
         out[:] = room[:count, :, :size]
     return Propagator._make(found.swapaxes(0, 1).reshape(count, *linear.shape))
 
 
 # The series of phi_3 is summed where the norm of its argument is at most _NORM. Cut off after
 # 22 terms, its relative error is 2^23 3! / 26! = 1e-19.
-_NORM, _SERIES = 2.0, np.array([1.0 / math.factorial(k + 3) for k in range(23)])
-_TERMS = len(_SERIES)
-# Places of matrices in the room of `_propagate`: phi_0 to phi_3 of the argument, those of half of
+_NORM, SERIES = 2.0, np.array([1.0 / math.factorial(k + 3) for k in range(23)])
+_TERMS = len(SERIES)
+# Places of matrices in the room of `propagate`: phi_0 to phi_3 of the argument, those of half of
 # it, and the argument. At the end the first are those of a Propagator.
 _PHI, _HALF, _Z, _MATRICES = 0, 4, 8, 9
 
@@ -127,7 +127,7 @@ def _balance(room, size, scale):
 
 @entry_point(linear=Array((None,)), size=int, step=float, series=Array((None,)),
              scale=Array((None,)), room=Array((None, WIDTH)))
-def _propagate(linear, size, step, series, scale, room):
+def propagate(linear, size, step, series, scale, room):
     """
     Write the matrices of a Propagator to the room, which has zeros; `size` is m.
 
