@@ -17,6 +17,7 @@ from timo_sim.export.c import write_c
 from timo_sim.export.constants import interface_of
 from timo_sim.export.web import export_web, link_wasm
 from timo_sim.model.layout import LOADS, place, TORQUE
+from timo_sim.simulation.finer import refine
 from test_export import SCENES, scene_of
 
 NEEDED = {'node': 'nodejs', 'wasm-ld': 'lld'}  # programs and packages of Debian
@@ -157,6 +158,55 @@ def test_a_page_without_the_scene_s_loads_has_no_torque_and_a_step_stays_below_t
     # A step at rest takes the stiffness times its size at once.
     assert 0.5 * scene.values['motor.torque_limit'] < most < scene.values['motor.torque_limit']
     assert reached == pytest.approx(1.0, abs=0.02)
+
+
+# Prints the estimated error after a step of the closed loop: with a controller of the finer run,
+# and with the commands of the other one.
+ERRORS = TORQUES.split('read(scene)')[0] + """
+read(scene).then(arm => {
+    for (const runs of [2, 1]) {
+        arm.reset();
+        const begin = arm.get('shaft');
+        for (let k = 0; k < 6000; ++k) {
+            arm.seen().slice(0, runs).forEach(([x, y, shaft, speed], run) => arm.set(
+                'torque', law.gains[0] * (begin + 0.2 - shaft) - law.gains[1] * speed, run));
+            arm.step(1);
+        }
+        console.log(JSON.stringify([arm.get('estimated_tip_error'), law.gains]));
+    }
+});
+"""
+
+
+def test_the_finer_run_has_a_controller_of_its_own(tmp_path):
+    """
+    So the error of an arm that stands on end is that of its loop, as two loops in Python differ.
+
+    Its shaft is so light that a controller of a fast loop would ring between the time steps.
+    """
+    scene = timo_sim.load_scene({
+        'arm.length': 0.6, 'arm.material': 'aluminium', 'arm.section.width': 0.03,
+        'arm.section.height': 0.003, 'arm.damping_ratio': [0.01], 'end_effector.mass': 0.15,
+        'motor.shaft_inertia': 0.002, 'carrier.held': 'both', 'gravity': [0.0, -9.81],
+        'integrator.step': 0.002, 'initial.shaft': 0.5 * np.pi})
+    page = export_web({'arm': scene}, tmp_path / 'arm.html')
+    found = subprocess.run(['node', '-e', ERRORS, Path(web.__file__).with_name('arm.js'), page],
+                           check=True, capture_output=True)
+    (error, gains), (of_commands, _) = (json.loads(line) for line in found.stdout.splitlines())
+    parts, places = interface_of(scene, True).parts, []
+    goal = timo_sim.Simulator(scene).motion.shaft + 0.2
+    for each, count in (scene, 1), (refine(scene, parts), parts):
+        simulator, tips = timo_sim.Simulator(each), []
+        for _ in range(6000):
+            motion = simulator.motion
+            torque = np.zeros(LOADS)
+            torque[TORQUE] = gains[0] * (goal - motion.shaft) - gains[1] * motion.shaft_velocity
+            simulator.advance(count, torque)
+            tips.append(simulator.position())
+        places.append(np.array(tips))
+    assert error == pytest.approx(
+        np.linalg.norm(places[0] - places[1], axis=1).max(), rel=1e-3)
+    assert error < 1e-4 and of_commands > 0.1
 
 
 def test_a_linker_that_is_missing_is_named(tmp_path, monkeypatch):

@@ -54,8 +54,22 @@ class Arm {
 
   step(count) { return this.code.arm_step(this.instance, BigInt(count)) === 0; }
 
-  set(name, value) {
-    if (name in this.inputs) this.code.arm_set_input(this.instance, this.inputs[name], value);
+  // Set an input of the scene's run and of the finer one that measures its error, or of that alone.
+  set(name, value, finer = false) {
+    const set = finer ? this.code.arm_set_finer_input : this.code.arm_set_input;
+    if (name in this.inputs) set(this.instance, this.inputs[name], value);
+  }
+
+  // What a controller sees: [carrier x, y, shaft, its speed, tip x, y], and those of the finer run.
+  seen() {
+    const names = ['carrier_x', 'carrier_y', 'shaft', 'shaft_velocity', 'tip_x', 'tip_y'];
+    const found = [names.map(name => this.get(name))];
+    if (this.code.arm_get_finer) {
+      this.code.arm_get_finer(this.instance, this.room);
+      const [x, y, shaft, , , speed, tipX, tipY] = this.numbers(9);
+      found.push([x, y, shaft, speed, tipX, tipY]);
+    }
+    return found;
   }
 
   get(name) {
@@ -279,37 +293,35 @@ function sample() {
   while (samples[0].time < values.time - WINDOW) samples.shift();
 }
 
-// Set the inputs of the next step.
+// Set the inputs of the next step. The finer run has a controller and a spring of its own.
 function command() {
   const key = (plus, minus) => held.has(plus) - held.has(minus);
-  const { ranges } = scene;
+  const { ranges } = scene, closed = loop.closed && !law.why;
   const pushed = { torque: key('ArrowLeft', 'ArrowRight'), force_x: key('d', 'a'),
                    force_y: key('w', 's') };
   if ('voltage' in ranges) [pushed.voltage, pushed.torque] = [pushed.torque, 0];
-  for (const name of ['torque', 'voltage', 'force_x', 'force_y', 'tip_force_across_arm']) {
-    let value = manual[name] + 0.6 * (pushed[name] || 0) * (ranges[name] || 0);
-    if (name === 'torque' && loop.closed && !law.why)
-      value += law.gains[0] * (loop.goalAt(arm.get('time')) - arm.get('shaft'))
-        - law.gains[1] * arm.get('shaft_velocity');
-    arm.set(name, value);
-  }
-  // A spring, with a damper against the carrier, which the picture follows; at most as strong as
-  // what bends a clamped arm by a tenth.
-  let x = 0, y = 0;
-  if (pointer) {
-    const most = 0.1 * scene.body.length * ranges.spring;
-    const tip = ['x', 'y'].map(axis => arm.get(`tip_${axis}`));
-    const now = ['x', 'y'].map((axis, k) => tip[k] - arm.get(`carrier_${axis}`));
-    const before = pointer.before || now, damper = ranges.damper / scene.step;
-    x = ranges.spring * (pointer.x - tip[0]) - damper * (now[0] - before[0]);
-    y = ranges.spring * (pointer.y - tip[1]) - damper * (now[1] - before[1]);
-    pointer.before = now;
-    const size = Math.hypot(x, y);
-    if (size > most) [x, y] = [x * most / size, y * most / size];
-  }
-  arm.set('tip_force_x', x);
-  arm.set('tip_force_y', y);
-  arm.pull = [x, y];
+  const given = name => manual[name] + 0.6 * (pushed[name] || 0) * (ranges[name] || 0);
+  for (const name of ['torque', 'voltage', 'force_x', 'force_y', 'tip_force_across_arm'])
+    arm.set(name, given(name));
+  arm.pull = [0, 0];
+  for (const name of ['tip_force_x', 'tip_force_y']) arm.set(name, 0);
+  if (!closed && !pointer) return;
+  const goal = loop.goalAt(arm.get('time'));
+  arm.seen().forEach(([x, y, shaft, speed, tipX, tipY], run) => {
+    if (closed)
+      arm.set('torque', given('torque') + law.gains[0] * (goal - shaft) - law.gains[1] * speed, run);
+    if (!pointer) return;
+    // A spring, with a damper against the carrier, which the picture follows; at most as strong as
+    // what bends a clamped arm by a tenth.
+    const most = 0.1 * scene.body.length * ranges.spring, damper = ranges.damper / scene.step;
+    const now = [tipX - x, tipY - y], before = pointer.before[run] || now;
+    const pull = [ranges.spring * (pointer.x - tipX) - damper * (now[0] - before[0]),
+                  ranges.spring * (pointer.y - tipY) - damper * (now[1] - before[1])];
+    const share = Math.min(1, most / Math.hypot(...pull));
+    pull.forEach((value, axis) => arm.set(['tip_force_x', 'tip_force_y'][axis], share * value, run));
+    pointer.before[run] = now;
+    if (!run) arm.pull = pull.map(value => share * value);
+  });
 }
 
 function advance(count) {
@@ -469,12 +481,12 @@ function drawPlane() {
   while (trail.length && trail[0].time < values.time - TRAIL) trail.shift();
   context.strokeStyle = colours.trail;
   context.lineWidth = 2.5;
-  context.lineJoin = context.lineCap = 'round';
   for (let k = 1; k < trail.length; ++k) {
     context.globalAlpha = 0.85 * (1 - (values.time - trail[k].time) / TRAIL);
     path([trail[k - 1].at, trail[k].at]);
   }
   context.globalAlpha = 1;
+  context.lineJoin = context.lineCap = 'round';
 
   const direction = [Math.cos(shaft), Math.sin(shaft)];
   const along = lever => [x + lever * direction[0], y + lever * direction[1]];
@@ -584,7 +596,7 @@ function drawCurves() {
   const right = width - 12;
   const across = time => left + (right - left) * (time - begin) / WINDOW;
   context.font = '12px system-ui, sans-serif';
-  context.lineJoin = 'round';
+  context.lineJoin = 'bevel';
   PANELS.forEach((panel, number) => {
     const top = number * each + 22, base = (number + 1) * each - 6;
     let low = Infinity, high = -Infinity;
@@ -626,9 +638,13 @@ function drawCurves() {
       context.setLineDash(dash);
       context.beginPath();
       let joined = false;
-      for (const sample of samples) {
-        if (Number.isFinite(sample[key])) {
-          context[joined ? 'lineTo' : 'moveTo'](across(sample.time), up(sample[key] * panel.factor));
+      for (let k = 0; k < samples.length; ++k) {
+        const sample = samples[k], value = sample[key];
+        // Inside of a level line nothing need be drawn: dashes are dear.
+        if (joined && k + 1 < samples.length && samples[k - 1][key] === value && samples[k + 1][key] === value)
+          continue;
+        if (Number.isFinite(value)) {
+          context[joined ? 'lineTo' : 'moveTo'](across(sample.time), up(value * panel.factor));
           joined = true;
         } else joined = false;
       }
@@ -729,7 +745,7 @@ function listen() {
     const { clientX, clientY } = event, [x, y] = inWorld(event);
     if (Math.hypot(x - values.tip_x, y - values.tip_y) * view.pixels > REACH) return;
     plane.setPointerCapture(event.pointerId);
-    pointer = { clientX, clientY, x, y, before: null };
+    pointer = { clientX, clientY, x, y, before: [] };
   });
   // A finger on the tip does not scroll the page.
   plane.addEventListener('touchstart', event => {

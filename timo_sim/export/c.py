@@ -128,14 +128,29 @@ def _enum(name, quantities):
         for number, each in enumerate(quantities))
 
 
+# What a header has besides if the error is estimated.
+_FINER = """\
+/*
+ * The finer run has the same inputs. If a controller gives them, give the finer run its own, so
+ * that the error is that of the loop: after `name_set_input`, which sets inputs of both runs, set
+ * what the controller would do about these values: carrier x, y and shaft angle of the finer run,
+ * their rates, and x, y and rotation of its tip.
+ */
+int name_get_finer(name *instance, double values[9]);
+int name_set_finer_input(name *instance, int input, double value);
+
+"""
+
+
 def _header(made, step, target, name):
-    inputs, outputs, parameters, _ = made.interface
+    inputs, outputs, parameters, parts = made.interface
     return _fill(
         'name.h', name, version=__version__, target=target, step=repr(step), size=made.size,
         saved=made.saved, inputs=len(inputs), outputs=len(outputs), parameters=len(parameters),
         codes=_enum(name, [Quantity(code.name, '', TEXTS[code]) for code in Code]),
         input_list=_enum(name, inputs), output_list=_enum(name, outputs),
-        parameter_list=_enum(name, parameters), motion=made.motion, drawn=DRAWN)
+        parameter_list=_enum(name, parameters), motion=made.motion, drawn=DRAWN,
+        finer=_named(_FINER, name) if parts else '')
 
 
 def _main(interface: Interface, step: float, name: str) -> bytes:

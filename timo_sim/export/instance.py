@@ -254,6 +254,17 @@ def set_place(instance):
     return _OK
 
 
+@entry_point(instance=Constants(), values=Array((9,)))
+def get_finer(instance, values):
+    """Write carrier x, y and shaft angle, their rates, and the place of the tip."""
+    half = len(instance.motion) // 2
+    for k in range(3):
+        values[k] = instance.motion[k]
+        values[3 + k] = instance.motion[half + k]
+        values[6 + k] = instance.place[k]
+    return _OK
+
+
 @entry_point(tables=Constants(), outline=Constants(), instance=Constants(),
              values=Array((None, 2)))
 def get_shape(tables, outline, instance, values):

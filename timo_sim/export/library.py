@@ -313,12 +313,25 @@ class _Body:
         self.return_if(builder.not_(self.equal(self.read_mark(instance, LOST), 0)), self.word(0))
         for _ in range(self.interface.parts):
             code = builder.call(self.module.globals['step.1'],
-                                [other, self.field(own, instance, 'inputs')])
+                                [other, self.field(finer, other, 'inputs')])
             with builder.if_then(builder.not_(self.equal(code, 0))):
                 builder.ret(self.call(own, instance, steps.compare, self.word(1), place))
         builder.call(self.module.globals['observe.0'], [instance])
         builder.call(self.module.globals['observe.1'], [other])
         builder.ret(self.call(own, instance, steps.compare, self.word(0), place))
+
+    def define_finer(self):
+        """Define what a controller of the finer run needs."""
+        finer = self.models[1]
+        instance, number, value = self.public('set_finer_input', _INT, _REAL)
+        self.return_if_wrong(self.call(finer, self.at(instance, self.offsets[1]), steps.set_input,
+                                       self.builder.sext(number, _WORD), value))
+        self.emit_return()
+        instance, values = self.public('get_finer', _POINTER)
+        other = self.at(instance, self.offsets[1])
+        self.builder.call(self.module.globals['observe.1'], [other])
+        self.return_if_wrong(self.call(finer, other, steps.get_finer, values))
+        self.emit_return()
 
     def define_refresh(self):
         """Define the function that computes outputs up to a stage of KNOWN, if they are not."""
@@ -481,7 +494,7 @@ class _Body:
     def define_calls(self):
         """Define the functions that are no more than calls."""
         both = len(self.models)
-        self.define([steps.set_input], _INT, _REAL)
+        self.define([steps.set_input], _INT, _REAL, models=both)
         self.define([steps.get_input], _INT, _POINTER)
         self.define([steps.set_parameter], _INT, _REAL, models=both)
         self.define([steps.get_parameter], _INT, _POINTER)
@@ -513,6 +526,7 @@ class _Body:
             self.define_model_observe(model)
         if len(self.models) > 1:
             self.define_follow()
+            self.define_finer()
         self.define_refresh()
         for define in (self.define_memory, self.define_calls, self.define_step,
                        *derivatives * [self.define_derivatives], self.define_texts):

@@ -84,7 +84,7 @@ int name_get_outputs(name *instance, double values[NAME_OUTPUTS]);
  */
 int name_get_shape(name *instance, double values[NAME_SHAPE][2]);
 
-/* Get or set the state: time, inputs, parameters, motion; runs go on from it to the last bit. */
+$finer/* Get or set the state: time, inputs, parameters, motion; runs go on from it to the last bit. */
 int name_get_state(const name *instance, double values[NAME_STATE_SIZE]);
 int name_set_state(name *instance, const double values[NAME_STATE_SIZE]);
 

@@ -176,8 +176,8 @@ def _stations(scene, estimate, made):
     Return what the page needs of arms that differ.
 
     That is what is exclusive-or of their constants and those of the scene, one after another, but
-    the linear parts of propagators as they are; the sliders that choose them, each with its values and the number of each arm, 0 is the
-    scene's own; and the closed loops of all arms by number.
+    the linear parts of propagators as they are; the sliders that choose them, each with its values
+    and the number of each arm, 0 is the scene's own; and the closed loops of all arms by number.
     """
     begin, own = 0, np.frombuffer(
         bytearray(made.constants_of(simulators_of(scene, estimate))), np.uint8)
@@ -251,7 +251,7 @@ def _loop(scene):
         with warnings.catch_warnings():
             warnings.simplefilter('ignore')  # of friction, that the model holds for small motions
             model = linearize(scene, rest, 'closed', ['torque_N_m'],
-                              ['shaft_rad', 'shaft_velocity_rad_per_s'])
+                              ['shaft_rad', 'shaft_velocity_rad_per_s']).to_discrete(scene.step)
             clamped = modes(scene, 0.0, 'closed').frequency if scene.modal_count else [1.0]
     except ParameterError as error:
         return {'why': str(error)}
@@ -266,7 +266,8 @@ def _loop(scene):
     for share in _BANDWIDTHS:
         omega = min(2.0 * math.pi * share * clamped[0], most)
         gains = inertia * np.array([omega**2, 1.4 * omega])
-        poles = np.linalg.eigvals(model.A - model.B @ gains[np.newaxis] @ model.C)
+        poles = np.log(np.linalg.eigvals(
+            model.A - model.B @ gains[np.newaxis] @ model.C).astype(complex)) / scene.step
         if poles.real.max() <= 1e-6 * omega:
             break
     else:
