@@ -7,7 +7,6 @@ from itertools import chain
 import struct
 import time
 
-from diagnostic_msgs.msg import DiagnosticArray
 import rclpy
 from rclpy.duration import Duration
 from rclpy.exceptions import NameValidationException
@@ -93,8 +92,8 @@ def send(topic: str, text: str, node: str, patience: float) -> str:
     try:
         sender = rclpy.create_node('send')
         publisher = sender.create_publisher(message_class(command.type_name), full, 10)
-        sender.create_subscription(
-            DiagnosticArray, '/diagnostics', reports.append, 10)
+        sender.create_subscription(message_class('diagnostic_msgs/msg/DiagnosticArray'),
+                                   '/diagnostics', reports.append, 10)
         while not publisher.get_subscription_count():
             if time.monotonic() > end:
                 raise TimeoutError(f'{full} has no subscriber: the node is not running, has '
