@@ -14,6 +14,7 @@ from benchmark import ROOT
 from benchmark.report import table
 from benchmark.stress.scenes import cell
 import timo_sim
+from timo_sim.export.c import write_c
 from timo_sim.export.constants import interface_of
 from timo_sim.model.layout import LOADS
 from timo_sim.scene.loads import Harmonic
@@ -55,7 +56,7 @@ def _compare(scene, random):
     lines, states = [], []
     with tempfile.TemporaryDirectory() as name:
         folder = Path(name)
-        timo_sim.export_c(scene, folder)
+        write_c(scene, folder, derivatives=False)
         subprocess.run(['cc', f'-I{folder}', '-o', folder / 'run', ROOT / 'test/data/run_arm.c',
                         folder / 'arm.o'], check=True)
         simulator = timo_sim.Simulator(scene)
