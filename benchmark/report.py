@@ -15,10 +15,6 @@ import scipy
 from benchmark import ROOT
 import timo_sim
 
-# Okabe and Ito's colours, which colour-blind readers tell apart.
-BLACK, BLUE, ORANGE, GREEN, RED, GREY = (
-    '#000000', '#0072B2', '#E69F00', '#009E73', '#D55E00', '#999999')
-
 
 def parser(spec, words, quick=None):
     """

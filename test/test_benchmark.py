@@ -1,13 +1,14 @@
 # Copyright 2026 The timo_sim authors
 # SPDX-License-Identifier: Apache-2.0
 
-"""The benchmarks begin: their modules can be imported, and no wait for a process is for ever."""
+"""The benchmarks begin: modules can be imported, no wait is for ever; pictures obey a rule."""
 
 import importlib
 
+import numpy as np
 import pytest
 
-from benchmark import ROOT
+from benchmark import drawing, ROOT
 from benchmark.process import arguments, running, wait
 from benchmark.speed import node
 
@@ -38,3 +39,26 @@ def test_a_timed_node_tells_when_it_did_each_step():
     assert 'simulated 0.05 s' in said
     assert ticks[:, 2].sum() == 50 and (ticks[:, 0] > begun).all()
     assert (ticks[:, 1] >= ticks[:, 0]).all()
+
+
+@pytest.mark.parametrize('spoil, told', [
+    (lambda axes: axes.set_xlabel('time', fontsize=6), "'time' is smaller than 9 px"),
+    (lambda axes: axes.plot(np.ones((2, 5))), '7 curves in one of its axes, above 6'),
+    (lambda axes: axes.figure.text(0.9, 0.5, 'beyond the edge'), 'something is outside')])
+def test_a_picture_that_breaks_the_rule_is_refused(spoil, told, tmp_path, monkeypatch):
+    monkeypatch.setattr(drawing, 'ROOT', tmp_path)
+    (tmp_path / 'doc').mkdir()
+    figure, axes = drawing.sheet()
+    for height in 1.0, 1.001:
+        axes.plot([0.0, 1.0], [0.0, height], label=f'to {height}')
+    drawing.name_ends(axes)
+    # Apart by more than a letter is high.
+    low, high = sorted(text.xyann[1] * axes.bbox.height for text in axes.texts)
+    assert high - low > axes.texts[0].get_fontsize() * drawing.DPI / 72.0
+    assert drawing.save(figure, 'good') and not drawing.save(figure, 'good')
+    spoil(axes)
+    for line in axes.lines:
+        line.set_label('named')
+    with pytest.raises(ValueError, match=told):
+        drawing.save(figure, 'bad')
+    assert [each.name for each in (tmp_path / 'doc').iterdir()] == ['good.png']

@@ -18,7 +18,8 @@ import numpy as np
 from oracles.observed import observe
 
 from benchmark import ROOT
-from benchmark.report import BLACK, BLUE, make_page, ORANGE, table
+from benchmark.drawing import DIFFERENCE, MEASURED, name_ends, PREDICTED, save, sheet
+from benchmark.report import make_page, table
 import timo_sim
 from timo_sim.fitting.problem import r_squared
 
@@ -138,18 +139,23 @@ class Link:
 
 def draw(link, voltage, observed):
     """Draw the strain of the half that was held out, and errors."""
-    from matplotlib.figure import Figure
-    figure, part = Figure(figsize=(8.0, 5.0), layout='constrained'), link.held_out
-    above, below = figure.subplots(2, sharex=True)
-    above.plot(link.t[part], 1e6 * link.strain[part], color=BLACK, label='measured')
-    for words, strain, colour in (('voltage alone', voltage, ORANGE),
-                                  ('observer: encoder and voltage', observed, BLUE)):
-        above.plot(link.t[part], 1e6 * strain[part], color=colour, label=words, linewidth=1.0)
-        below.plot(link.t[part], 1e6 * (strain - link.strain)[part], color=colour, linewidth=1.0)
-    above.set(ylabel='strain at the root [1e-6]')
-    figure.legend(loc='outside upper center', ncols=3)
-    below.set(ylabel='error [1e-6]', xlabel='t [s]')
-    figure.savefig(ROOT / 'doc' / 'observer.png', dpi=80)
+    figure, (above, *below) = sheet(3, height=5.4, sharex=True)
+    part = link.held_out
+    above.plot(link.t[part], 1e6 * link.strain[part], color=MEASURED, lw=3.0, label='measured')
+    above.plot(link.t[part], 1e6 * observed[part], color=PREDICTED, lw=1.2,
+               label='observer, on it')
+    for axes, words, strain in zip(below, (
+            'error of the\nobserver', 'error by the\nvoltage alone'), (observed, voltage)):
+        axes.plot(link.t[part], 1e6 * (strain - link.strain)[part], color=DIFFERENCE, lw=1.0,
+                  label=words)
+        axes.set(ylim=(-80.0, 80.0))
+    for axes in above, *below:
+        axes.set(xlim=link.t[part][[0, -1]], ylabel='[1e-6]')
+        axes.grid(alpha=0.3)
+    above.set_title('strain at the root', loc='left')
+    below[1].set(xlabel='t [s]')
+    name_ends(above, *below)
+    save(figure, 'observer')
 
 
 def real(quick):

@@ -29,6 +29,7 @@ from scipy.signal import lfilter, savgol_filter
 
 from benchmark import ROOT
 from benchmark.accuracy.clock import LONG, mend, pauses, SAMPLE
+from benchmark.drawing import save
 from benchmark.report import make_page, table
 import timo_sim
 from timo_sim.fitting.problem import r_squared
@@ -544,7 +545,7 @@ def section(case):
                 f'black box of order {order}': box}
     SCORES.write_text(json.dumps({**scores_in(SCORES), case.name: [
         *by_model.values(), trials]}, indent=1) + '\n', encoding='utf-8')
-    held.plot().savefig(ROOT / 'doc' / 'real_arm' / f'{case.name}.png', dpi=70)
+    save(held.plot(), f'real_arm/{case.name}')
     script = FILES / f'{case.name}.sh'
     script.write_text(f'{HEAD}{command_of(case, parts, chosen, free)}\n', encoding='utf-8')
     script.chmod(0o755)
@@ -581,7 +582,6 @@ def choose_effects(case):
         if 'rivals' not in row:
             row['rivals'] = [held_out(scored) for scored in (
                 textbook(case, parts), black_box(case, parts)[0])]
-        held.plot().savefig(ROOT / 'doc' / 'real_arm' / f'{case.name}.png', dpi=70)
         (ROOT / 'doc' / 'real_arm' / f'{case.name}.txt').write_text(
             found.report().replace(f'{DATA}/', '') + '\n', encoding='utf-8')
         script = FILES / f'{case.name}.sh'

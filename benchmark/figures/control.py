@@ -8,14 +8,13 @@ It prints Markdown tables, and draws doc/control.png. Noise and limits are those
 example/slew.yaml.
 """
 
-from pathlib import Path
 import sys
 import time
 
-import matplotlib.pyplot as plt
 import numpy as np
 
 from benchmark import ROOT
+from benchmark.drawing import BLACK, BLUE, GREEN, name_ends, RED, save, sheet
 from benchmark.report import parser, table
 import timo_sim
 
@@ -57,7 +56,7 @@ SLEWS = {'PD': lambda scene: PD(turn), 'ZV': lambda scene: shaped(scene, 'ZV'),
 WEAK = {'ZV': SLEWS['ZV'], 'LQR, plan of 3 s': lambda scene: LQR(scene, 3.0),
         'LQR, shortest plan': lambda scene: LQR(scene, None), 'MPPI': mppi.MPPI}
 PAYLOAD = 2.0  # [kg]
-COLOURS = {'PD': '#d55e00', 'ZV': '#e69f00', 'ZVD': '#009e73', 'LQR': '#0072b2'}
+COLOURS = {'PD': RED, 'ZV': BLACK, 'ZVD': GREEN, 'LQR': BLUE}
 
 
 def told(score):
@@ -121,27 +120,26 @@ def moves(scene):
         yield name, f'{score.settled:.2f} s', f'{1e3 * score.residual:.3f} mm'
 
 
-def draw(records, path):
+def draw(records):
     """Draw the slews over each other, and how far the tip is from its goal."""
-    figure, axes = plt.subplots(3, 1, figsize=(9, 7), sharex=True, layout='constrained')
+    figure, axes = sheet(3, height=6.8, sharex=True)
     for name, colour in COLOURS.items():
         record = records[name]
         t, off = record[:, 0], 1e3 * slew.distance(record)
         axes[0].plot(t, record[:, 9], color=colour, linewidth=1.0)
         axes[1].plot(t, 1e3 * record[:, 11], color=colour)
         # The largest distance from then on: once below the line the tip stays near its goal.
-        most = np.maximum.accumulate(off[::-1])[::-1]
-        axes[2].semilogy(t, most, color=colour)
-        end = np.flatnonzero(most > 0.014)[-1]  # where the curve leaves the picture
-        axes[2].text(t[end] + 0.04, most[end], name, color=colour, va='bottom')
+        axes[2].semilogy(t, np.maximum.accumulate(off[::-1])[::-1], color=colour, label=name)
     for each, label in zip(axes, ('torque [N m]', 'tip deflection [mm]',
                                   'tip off its goal,\nat most from then on [mm]')):
         each.set(ylabel=label)
         each.grid(alpha=0.3)
         each.axvline(slew.DURATION, color='grey', linestyle=':')
     axes[2].axhline(1e3 * slew.NEAR, color='grey', linestyle=':')
-    axes[2].set(xlabel='t [s]', xlim=(0.0, t[-1] + 0.5), ylim=(1e-2, 2e3))
-    figure.savefig(path, dpi=100)
+    axes[2].set(xlabel='t [s]', xlim=(0.0, t[-1]), ylim=(1e-3, 2e3))
+    figure.align_ylabels(axes)
+    name_ends(axes[2])
+    save(figure, 'control')
 
 
 def main():
@@ -150,9 +148,8 @@ def main():
     scene = timo_sim.load_scene(slew.SCENE)
     rows, records = slews(scene)
     print(table(['', *PLANTS, 'peak torque'], rows))
-    path = Path(ROOT / 'doc' / 'control.png')
-    draw(records, path)
-    print(f'\n{path} is drawn\n')
+    draw(records)
+    print('\ndoc/control.png is drawn\n')
     print(table([f'with {PAYLOAD:g} kg more at the tip', 'payload not known', 'payload known'],
                 carries(scene)) + '\n')
     rows, span = weak(scene)

@@ -6,29 +6,31 @@
 from pathlib import Path
 from tempfile import TemporaryDirectory
 
-from matplotlib.image import imread, imsave
-import matplotlib.pyplot as plt
 import numpy as np
+from PIL import Image
+from scipy.ndimage import maximum_filter1d
 
-from benchmark import ROOT
-from benchmark.report import BLUE, GREEN, GREY, parser, RED
+from benchmark import drawing, ROOT
+from benchmark.drawing import BLUE, GREEN, GREY, name_ends, RED
+from benchmark.report import parser
 import timo_sim
 from timo_sim.view.rerun import picture, write
 from timo_sim.view.track import Track
 
 LENGTH = 2.0  # of the paper's arm [m]
 FINE = {'model.modes': 5}
-plt.rcParams.update({'font.size': 15, 'axes.grid': True, 'grid.alpha': 0.3,
-                     'lines.linewidth': 2.0, 'legend.fontsize': 13})
+ABOVE = {'loc': 'lower left', 'bbox_to_anchor': (0.0, 1.0), 'frameon': False, 'fontsize': 'small',
+         'borderaxespad': 0.2}
 
 
 def sheet(title, ratio=1.0):
     """Return a figure, its plane of motion on the left, and its axes of time on the right."""
-    figure, (plane, time) = plt.subplots(1, 2, figsize=(12.0, 5.2), layout='constrained',
-                                         width_ratios=[ratio, 1.6])
-    figure.suptitle(title, fontsize=18)
+    figure, (plane, time) = drawing.sheet(1, 2, 4.0, width_ratios=[ratio, 1.6])
+    figure.suptitle(title)
     plane.set(xlabel='x [m]', ylabel='y [m]', aspect='equal')
     time.set(xlabel='t [s]')
+    for axes in plane, time:
+        axes.grid(alpha=0.3)
     return figure, plane, time
 
 
@@ -37,16 +39,10 @@ def draw_arm(plane, run, sample, colour, alpha=1.0, label=None, body=True):
     length = run.scene.manipulator.arm.length
     line = run.model.world(run.values[[sample]], run.model.at(
         np.linspace(0.0, length, 41)))[0]
-    plane.plot(*line.T, color=colour, alpha=alpha, lw=3, label=label, solid_capstyle='round')
-    plane.plot(*line[-1], 'o', color=colour, alpha=alpha, ms=11)
+    plane.plot(*line.T, color=colour, alpha=alpha, lw=2.5, label=label, solid_capstyle='round')
+    plane.plot(*line[-1], 'o', color=colour, alpha=alpha, ms=8)
     if body:
-        plane.plot(*line[0], 's', color=colour, alpha=alpha, ms=12)
-
-
-def save(figure, name):
-    """Write a picture."""
-    figure.savefig(ROOT / 'doc' / 'gallery' / f'{name}.png', dpi=100)
-    plt.close(figure)
+        plane.plot(*line[0], 's', color=colour, alpha=alpha, ms=9)
 
 
 def spin_up():
@@ -57,12 +53,13 @@ def spin_up():
     across = run.deflection(length)[:, 1]
     largest = int(np.abs(across).argmax())
     figure, plane, time = sheet('Spin-up: the shaft is driven to its final speed')
-    plane.plot(*run.position(length).T, color=GREY, lw=0.5)
-    for k, sample in enumerate(np.linspace(0, largest, 5).astype(int)):
-        draw_arm(plane, run, sample, BLUE, 0.25 + 0.15 * k)
+    plane.plot(*run.position(length).T, color=GREY, lw=0.5, label='path of the tip')
+    for k, sample in enumerate(np.linspace(0, largest, 5).astype(int)[:4]):
+        draw_arm(plane, run, sample, BLUE, 0.25 + 0.15 * k,
+                 f'before, every {run.t[largest] / 4.0:.2g} s' if k == 3 else None)
     draw_arm(plane, run, largest, RED, label=f'bent most, {run.t[largest]:.1f} s')
-    plane.set(xlim=(-11, 11), ylim=(-11, 15))
-    plane.legend(loc='upper left')
+    plane.set(xlim=(-11, 11), ylim=(-11, 11))
+    plane.legend(**ABOVE)
     time.plot(run.t, across, color=BLUE, label='tip deflection w(l)')
     time.axhline(0.0, color='k', lw=0.8)
     time.set(ylabel='w(l) [m]', xlim=(0, 20))
@@ -70,8 +67,8 @@ def spin_up():
     speed.plot(run.t, run.shaft_velocity, '--', color=RED, label='shaft speed')
     speed.set(ylabel='shaft speed [rad/s]')
     speed.grid(False)
-    time.legend(handles=[*time.lines[:1], *speed.lines], loc='lower right')
-    save(figure, 'spin_up')
+    time.legend(handles=[*time.lines[:1], *speed.lines], **ABOVE)
+    drawing.save(figure, 'gallery/spin_up')
     late = np.abs(across[run.t > 16.0]).max()
     limit = scene.vary({'model.formulation': 'newton'}).build().speed_limit
     return (f'The shaft follows a given angle up to {run.shaft_velocity[-1]:.3g} rad/s. The arm '
@@ -91,29 +88,26 @@ def resonance():
             'arm.damping_ratio': [damping], 'load.torque.harmonic.amplitude': [0.5],
             'load.torque.harmonic.frequency': [ratio * first]}), 20.0)
 
-    cases = [(driven(1.0, 0.0), RED, 'at it, undamped'),
-             (driven(1.0, 0.01), BLUE, 'at it, damping ratio 0.01'),
-             (driven(0.9, 0.0), GREEN, '10 % below, undamped')]
+    cases = [(driven(1.0, 0.0), RED, 'undamped'),
+             (driven(1.0, 0.01), BLUE, 'damping 0.01'),
+             (driven(0.9, 0.0), GREEN, '10 % below it')]
     figure, plane, time = sheet(f'Resonance: 0.5 N m at the first frequency, {first:.2f} Hz')
-    tops = []
+    tops, cycle, xi = [], round(1e3 / first), np.linspace(0.0, LENGTH, 41)
     for run, colour, label in cases:
         across = run.deflection(LENGTH)[:, 1]
         tops.append(np.abs(across).max())
-        time.plot(run.t, 1e3 * across, color=colour, lw=1.2, label=label)
-    xi = np.linspace(0.0, LENGTH, 41)
-    for run, colour, label in cases[::2]:
-        cycle = round(1e3 / first)
-        shapes = np.stack([run.deflection(x)[-cycle::cycle // 12, 1] for x in xi], axis=1)
-        plane.plot(xi, 1e3 * shapes.T, color=colour, lw=1.5)
-        plane.plot([], color=colour, label=label)
+        # The largest deflection within a cycle.
+        time.plot(run.t, 1e3 * maximum_filter1d(np.abs(across), cycle), color=colour, label=label)
+        most = len(across) - cycle + np.abs(across[-cycle:]).argmax()
+        shape = np.array([run.deflection(x)[most, 1] for x in xi])
+        for side in 1e3, -1e3:
+            plane.plot(xi, side * shape, color=colour)
     plane.set(aspect='auto', xlabel='along the arm [m]', ylabel='deflection across [mm]',
-              ylim=(-170, 290), title='its last cycle')
-    plane.legend(loc='upper left')
-    time.set(ylabel='tip deflection w(l) [mm]', xlim=(0, 20))
-    top = 1e3 * max(tops)
-    time.set_ylim(-1.1 * top, 1.7 * top)
-    time.legend(loc='upper right')
-    save(figure, 'resonance')
+              title='extremes of the last cycle')
+    time.set(ylabel='tip deflection w(l) [mm]', xlim=(0, 20), ylim=(0.0, None),
+             title='largest within a cycle')
+    name_ends(time)
+    drawing.save(figure, 'gallery/resonance')
     return (f'The free manipulator at rest has its first frequency at {first:.3f} Hz. A torque of '
             f'0.5 N m there bends the tip further with each cycle, {1e3 * tops[0]:.0f} mm within '
             f'20 s; a modal damping ratio of 0.01 keeps it to {1e3 * tops[1]:.0f} mm, and a '
@@ -136,13 +130,13 @@ def disturbance():
                  f'every {100 * (run.t[1] - run.t[0]):.2g} s, light to dark' if k == 4 else None)
     plane.annotate('', (LENGTH, 0.0), (LENGTH, -0.5),
                    arrowprops={'color': RED, 'width': 4, 'headwidth': 14})
-    plane.set(xlim=(-0.3, 2.4), ylim=(-0.7, 1.3))
-    plane.legend(loc='upper left')
-    time.plot(run.t, 1e3 * across, color=BLUE, label='tip, x = l')
-    time.plot(run.t, 1e3 * run.deflection(0.5 * LENGTH)[:, 1], color=RED, label='middle, l/2')
-    time.set(ylabel='deflection across [mm]', xlim=(0, 2), ylim=(-80, 110))
-    time.legend(loc='upper right')
-    save(figure, 'disturbance')
+    plane.set(xlim=(-0.3, 2.4), ylim=(-0.7, 0.6))
+    plane.legend(**ABOVE)
+    time.plot(run.t, 1e3 * across, color=BLUE, label='tip')
+    time.plot(run.t, 1e3 * run.deflection(0.5 * LENGTH)[:, 1], color=RED, label='middle')
+    time.set(ylabel='deflection across [mm]', xlim=(0, 2), ylim=(-80, 80))
+    name_ends(time)
+    drawing.save(figure, 'gallery/disturbance')
     gained = run.momentum()[run.t > 1.5 * lasting, :2]
     return (f'Nothing is held; {force:g} N act on the end effector for {1e3 * lasting:g} ms. The '
             f'arm bends by up to {1e3 * abs(across[largest]):.0f} mm, at {run.t[largest]:.2f} s, '
@@ -158,21 +152,21 @@ def standing():
     across, below = run.deflection(LENGTH)[:, 1], -np.degrees(run.shaft)
     turned = int(below.argmax())
     figure, plane, time = sheet('Standing in gravity: the torque on the shaft ends at 1 s')
-    plane.plot(*run.position(LENGTH)[:turned].T, color=GREY, lw=1)
+    plane.plot(*run.position(LENGTH)[:turned].T, color=GREY, lw=1, label='path of the tip')
     for k, sample in enumerate(range(1400, turned + 100, 400)):
         draw_arm(plane, run, sample, BLUE, 0.3 + 0.2 * k, 'then every 0.4 s' if k == 3 else None)
     draw_arm(plane, run, 1000, RED, label='borne by the torque, until 1 s')
-    plane.set(xlim=(-2.1, 2.1), ylim=(-2.25, 1.35))
+    plane.set(xlim=(-2.1, 2.1), ylim=(-2.25, 0.5))
     plane.annotate('g', (1.8, -0.4), (1.8, 0.1), ha='center', arrowprops={'arrowstyle': '->'})
-    plane.legend(loc='upper left')
+    plane.legend(**ABOVE)
     time.plot(run.t, 1e3 * across, color=BLUE, label='tip deflection w(l)')
-    time.set(ylabel='w(l) [mm]', xlim=(0, 10), ylim=(-80, 110))
+    time.set(ylabel='w(l) [mm]', xlim=(0, 10), ylim=(-80, 80))
     angle = time.twinx()
     angle.plot(run.t, -below, '--', color=RED, label='shaft angle')
-    angle.set(ylabel='shaft angle [degrees]', ylim=(-160, 220))
+    angle.set(ylabel='shaft angle [degrees]', ylim=(-160, 160))
     angle.grid(False)
-    time.legend(handles=[*time.lines, *angle.lines], loc='upper right')
-    save(figure, 'standing')
+    time.legend(handles=[*time.lines, *angle.lines], **ABOVE)
+    drawing.save(figure, 'gallery/standing')
     swing, vibration = timo_sim.modes(scene.vary({
         'load.torque.piecewise.value': [0.0, 0.0], 'initial.shaft': -1.6})).frequency[:2]
     return (f'A torque of {run.effort[0, 2]:g} N m bears the arm at rest {below[0]:.1f} degrees '
@@ -196,15 +190,15 @@ def pick_and_place():
                                    ((picked, 5000, dropped), RED, 'loaded, 3, 5 and 8 s')):
         for k, sample in enumerate(samples):
             draw_arm(plane, run, sample, colour, 0.4 + 0.25 * k, label if not k else None)
-    plane.set(xlim=(-0.3, 2.3), ylim=(-0.3, 3.0))
-    plane.legend(loc='upper right')
+    plane.set(xlim=(-0.3, 2.3), ylim=(-0.3, 2.0))
+    plane.legend(**ABOVE)
     parts = {'empty': slice(0, picked + 1), 'loaded': slice(picked, dropped + 1),
              'empty again': slice(dropped, None)}
     for (label, part), colour in zip(parts.items(), (BLUE, RED, GREEN)):
         time.plot(run.t[part], 1e3 * across[part], color=colour, label=label)
-    time.set(ylabel='tip deflection w(l) [mm]', xlim=(0, 10), ylim=(-40, 60))
-    time.legend(loc='upper right')
-    save(figure, 'pick_and_place')
+    time.set(ylabel='tip deflection w(l) [mm]', xlim=(0, 10), ylim=(-40, 45))
+    time.legend(ncols=3, **ABOVE)
+    drawing.save(figure, 'gallery/pick_and_place')
     empty, loaded, after = (1e3 * np.abs(across[part]).max() for part in parts.values())
     left = 1e3 * np.abs(across[7000:dropped]).max()
     return ('The carrier is held, the shaft is driven. With the empty gripper of '
@@ -223,7 +217,8 @@ def draw_window():
         write([Track(run, 'paper')], Path(folder, 'run.rrd'), at=1.81)
         picture(Path(folder, 'run.rrd'), Path(folder, 'view.png'), 1.81, (1500, 940))
         # Without the viewer's menu, which says things about the machine.
-        imsave(ROOT / 'doc' / 'view.png', imread(Path(folder, 'view.png'))[37:])
+        drawing.quantised(np.asarray(Image.open(Path(folder, 'view.png')).convert('RGB'))[37:],
+                          'view')
 
 
 def draw_log():

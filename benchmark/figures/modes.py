@@ -7,13 +7,10 @@ Draw the pictures of doc/modes.md and fill its table: shapes, spinning arms, con
 The truth is the finite elements of `test/oracles/linear_beam.py`.
 """
 
-from pathlib import Path
-
-import matplotlib.pyplot as plt
 import numpy as np
 
-from benchmark import ROOT
-from benchmark.report import BLUE, fill, GREY, parser, RED, table
+from benchmark.drawing import BLACK, MEASURED, PREDICTED, save, sheet
+from benchmark.report import fill, parser, table
 from oracles.linear_beam import spinning, WRIGHT
 import timo_sim
 
@@ -24,7 +21,7 @@ COUNTS = 3, 5, 8, 12
 SPEEDS = 1.0, 2.0, 4.0  # over the first frequency at rest
 
 
-def draw_spinning(path):
+def draw_spinning():
     """Draw the frequencies of a bare arm over the speed, with tables and finite elements."""
     scene = timo_sim.load_scene({}, {**BARE, 'model.modes': 12})
     section = scene.manipulator.arm.section
@@ -33,17 +30,19 @@ def draw_spinning(path):
     found = np.array([timo_sim.modes(scene, unit * each).omega[:3] for each in speed]) / unit
     at = speed[1::2]
     truth = np.array([spinning(scene, unit * each, 3) / unit for each in at])
-    figure, panels = plt.subplots(1, 3, figsize=(11, 3.4), layout='constrained')
+    figure, panels = sheet(1, 3, 3.4)
     for n, axes in enumerate(panels):
-        axes.plot(speed, found[:, n], color=BLUE, label='timo_sim, N = 12')
-        axes.plot(at, truth[:, n], '+', color=GREY, ms=8, label='finite elements')
+        axes.plot(at, truth[:, n], '+', color=MEASURED, ms=11, mew=2, label='finite elements')
         axes.plot([*WRIGHT], [np.sqrt(row[n]**2 - each**2) for each, row in WRIGHT.items()],
-                  'o', color=RED, mfc='none', label='Wright et al. 1982')
-        axes.set(title=f'mode {n + 1}', xlabel='speed / $\\sqrt{E I / (\\rho A l^4)}$')
+                  'o', color=BLACK, mfc='none', label='Wright et al. 1982')
+        axes.plot(speed, found[:, n], color=PREDICTED, label='timo_sim, N = 12, through both')
+        axes.set_title(f'mode {n + 1}')
         axes.grid(alpha=0.3)
     panels[0].set(ylabel='frequency / $\\sqrt{E I / (\\rho A l^4)}$')
-    panels[0].legend(fontsize='small')
-    figure.savefig(path, dpi=100)
+    panels[1].set(xlabel='speed / $\\sqrt{E I / (\\rho A l^4)}$')
+    figure.legend(*axes.get_legend_handles_labels(), loc='outside lower center', ncols=3,
+                  frameon=False)
+    save(figure, 'spinning')
 
 
 def convergence():
@@ -67,10 +66,9 @@ def convergence():
 def main():
     """Draw the pictures and fill the table."""
     parser(__spec__, __doc__).parse_args()
-    folder = Path(ROOT, 'doc')
     scene = timo_sim.load_scene('paper', {'arm.damping_ratio': 0.01})
-    timo_sim.modes(scene).plot().savefig(folder / 'modes.png', dpi=100)
-    draw_spinning(folder / 'spinning.png')
+    save(timo_sim.modes(scene).plot(), 'modes')
+    draw_spinning()
     fill('modes.md', 'convergence', convergence())
 
 

@@ -7,51 +7,37 @@ Reproduces the tables and figures of the source paper: `make paper` fills doc/pa
 Every number is computed here, from this package and from the stored finite-element references.
 """
 
-from io import BytesIO
-
-import matplotlib.pyplot as plt
+from matplotlib import rc_context
 import numpy as np
-from PIL import Image
 from scipy.ndimage import maximum_filter1d
 
-from benchmark import ROOT
+from benchmark import drawing, ROOT
+from benchmark.drawing import BLACK, MEASURED, name_ends, ORANGE, PINK, PREDICTED, sheet
 from benchmark.figures.root_reactions import MENTIONED
-from benchmark.report import BLACK, BLUE, fill, GREEN, ORANGE, parser, RED, table
+from benchmark.report import fill, parser, table
 from oracles import slips
 from oracles.references import (
     errors, LENGTH, motion_of, peak, read, simulate, station, STATIONS, STEP)
 import timo_sim
 from timo_sim.model import FORMULATIONS
 
-FIGURES = ROOT / 'doc' / 'paper'
 MODES = 5
-AROUND = 0.5  # in which differences that swing are shown by the largest [s]
 NAMES = {'0': '0', 'l4': 'l/4', 'l2': 'l/2', '3l4': '3l/4', 'l': 'l'}
 FORMULATIONS.update(MENTIONED)
-COLOURS = dict(zip(FORMULATIONS, (BLUE, ORANGE, GREEN, RED)))
+COLOURS = dict(zip(FORMULATIONS, (PREDICTED, BLACK, ORANGE, PINK)))
+AROUND = 0.5  # in which differences that swing are shown by the largest [s]
 PAPER_TABLE_2 = [(1.7869, 1.7875, 0.04), (9.0738, 9.0740, 0.00), (29.8108, 29.8107, 0.00),
                  (74.9902, 74.9893, 0.00), (143.8872, 143.8841, 0.00)]
-plt.rcParams.update({'font.size': 9, 'axes.grid': True, 'grid.alpha': 0.3,
-                     'lines.linewidth': 1.2, 'figure.constrained_layout.use': True,
-                     'svg.fonttype': 'none', 'svg.hashsalt': 'timo_sim',
-                     'path.simplify_threshold': 1.0})
-
-
-def same_picture(old, new):
-    """Return whether two pictures differ by round-off alone, which shades edges of lines."""
-    pixels = [np.asarray(Image.open(each).convert('RGB'), dtype=int) for each in (old, new)]
-    return pixels[0].shape == pixels[1].shape and np.abs(np.subtract(*pixels)).max() <= 16
 
 
 def save(figure, number, text):
     """Save a figure as PNG and SVG unless it is there already; return its Markdown."""
-    path, new = FIGURES / f'fig{number}.png', BytesIO()
-    figure.savefig(new, dpi=110)
-    if not path.exists() or not same_picture(path, new):
-        path.write_bytes(new.getvalue())
-        figure.savefig(path.with_suffix('.svg'), metadata={'Date': None})
-    plt.close(figure)
-    return f'![{text}](paper/fig{number}.png)\n\n*{text}* ([SVG](paper/fig{number}.svg))\n'
+    name = f'paper/fig{number}'
+    if drawing.save(figure, name):
+        with rc_context({'svg.fonttype': 'none', 'svg.hashsalt': 'timo_sim',
+                         'path.simplify_threshold': 1.0}):
+            figure.savefig(ROOT / 'doc' / f'{name}.svg', metadata={'Date': None})
+    return f'![{text}]({name}.png)\n\n*{text}* ([SVG]({name}.svg))\n'
 
 
 def frequencies():
@@ -92,17 +78,21 @@ def shapes():
     text, largest = '', 0.0
     for number, field, ours, unit in (('04', 'W', modes.deflection(xi), '1/sqrt(kg)'),
                                       ('05', 'Phi', modes.rotation(xi), '1/(m sqrt(kg))')):
-        figure, axes = plt.subplots(2, 3, figsize=(9, 4.6), sharex=True)
+        figure, axes = sheet(2, 3, 4.6, sharex=True)
         for n, axis in enumerate(axes.flat):
             theirs = np.array([fem[f'{field}_{i}'][n] for i in range(41)])
             error = np.sqrt(np.mean((ours[::5, n] - theirs)**2))
             largest = max(largest, error / np.abs(theirs).max())
-            axis.plot(xi, ours[:, n], color=BLUE, label='closed form')
-            axis.plot(xi[::10], theirs[::2], 'o', color=ORANGE, ms=3.5, mfc='none',
-                      label='200 elements')
-            axis.set_title(f'mode {n + 1}, RMSE {error:.1e}', fontsize=9)
+            axis.plot(xi, ours[:, n], color=PREDICTED, label='closed form')
+            axis.plot(xi[::10], theirs[::2], 'o', color=MEASURED, ms=4, mfc='none',
+                      label='200 elements, on it')
+            axis.set_title(f'mode {n + 1}, RMSE {error:.1e}', fontsize=10)
+            axis.grid(alpha=0.3)
         figure.legend(*axes[0, 0].get_legend_handles_labels(), loc='outside lower center', ncols=2)
-        label(axes, 'xi [m]', f'{field}_n [{unit}]')
+        for row in axes:
+            row[0].set_ylabel(f'{field}_n [{unit}]')
+        for axis in axes[-1]:
+            axis.set_xlabel('xi [m]')
         text += save(figure, number, f'Fig. {int(number)}: mode shapes {field}_n, mass-normalised,'
                      ' against finite elements; RMSE over the 41 stations') + '\n'
     verdict = ('Figs. 4, 5: mode shapes', 'small RMSE', '',
@@ -129,41 +119,35 @@ def histories(t, runs, truth, fem):
              lambda name, key: np.degrees(runs[name].rotation(STATIONS[key] * LENGTH)))}
     text = ''
     for number, (what, unit, stations, theirs, ours) in shown.items():
-        figure, axes = plt.subplots(2, 3 if stations == five else 2, sharex=True,
-                                    figsize=(10 if stations == five else 9, 4.8))
-        for axis, key in zip(axes.flat, stations):
-            axis.plot(t, theirs(key), color=BLACK, lw=2.2, alpha=0.35, label='finite elements')
-            for name, style in zip(runs, ('-', '--')):
-                axis.plot(t, ours(name, key), style, color=COLOURS[name],
-                          label=f'{name}, N = {MODES}')
-            largest = '' if stations == five else f', peak {peak(t, theirs(key)):.3g}'
-            axis.set_title(f'xi = {NAMES[key]}{largest}', fontsize=9)
-        if stations == five:
-            label_times(axes)
-        else:
-            figure.legend(*axes[0, 0].get_legend_handles_labels(), loc='outside lower center',
-                          ncols=3)
-        label(axes, None if stations == five else 't [s]', f'{what} [{unit}]')
+        rows = len(stations) + 1
+        figure, axes = sheet(rows, height=1.1 * rows + 1.5, sharex=True,
+                             height_ratios=[1.0] * len(stations) + [1.8])
+        for axis, key in zip(axes, stations):
+            axis.plot(t, theirs(key), color=MEASURED, lw=3.5)
+            axis.plot(t, ours('exact', key), color=PREDICTED, lw=1.2)
+            axis.set_ylabel(f'xi = {NAMES[key]}')
+        axes[0].set_title(f'{what} [{unit}]: finite elements (blue), and exact on them (red)',
+                          fontsize=10)
+        for name in runs:
+            axes[-1].semilogy(t, envelope(t, np.max([np.abs(ours(name, key) - theirs(
+                key)) for key in stations], axis=0)), color=COLOURS[name], label=name)
+        axes[-1].set_title('largest difference of a section from finite elements, '
+                           f'within {AROUND:g} s [{unit}]', fontsize=10)
+        finish(figure, axes, t)
         text += save(figure, f'{number:02}', f'Fig. {number}: {what} [{unit}] of '
-                     f'{"five" if stations == five else "four"} sections') + '\n'
+                     f'{"five" if stations == five else "four"} sections, N = {MODES}, and how '
+                     'far newton and exact are from finite elements') + '\n'
+    return text
 
-    figure, axes = plt.subplots(len(shown), len(runs), figsize=(9, 10), sharex=True)
-    finer = {'m': ('mm', '\u00b5m'), 'mm': ('\u00b5m', 'nm'), 'deg': ('mdeg', '\u00b5deg')}
-    for row, (what, unit, stations, theirs, ours) in zip(axes, shown.values()):
-        for axis, name, factor, small in zip(row, runs, (1e3, 1e6), finer[unit]):
-            for key, colour in zip(five, (BLACK, ORANGE, BLUE, GREEN, RED)):
-                if key in stations:
-                    axis.plot(t, envelope(t, factor * (ours(name, key) - theirs(key))),
-                              color=colour, label=f'xi = {NAMES[key]}')
-            axis.set_title(f'{what}, {name}', fontsize=9)
-            axis.set_ylabel(f'difference [{small}]')
-            axis.set_ylim(bottom=0.0)
-    for axis in axes[-1]:
-        axis.set_xlabel('t [s]')
-    figure.legend(*axes[0, 0].get_legend_handles_labels(), loc='outside lower center', ncols=5)
-    return text + save(figure, '06_to_10', 'Figs. 6 to 10 as largest differences from finite '
-                       f'elements within {AROUND:g} s, N = {MODES}, of newton (left) and exact '
-                       '(right, in finer units)')
+
+def finish(figure, axes, t):
+    """Set limits and the label of time, and name the curves that have labels."""
+    for axis in axes:
+        axis.set_xlim(t[0], t[-1])
+        axis.grid(alpha=0.3)
+    figure.align_ylabels(axes)
+    axes[-1].set_xlabel('t [s]')
+    name_ends(*(axis for axis in axes if axis.get_legend_handles_labels()[0]))
 
 
 def envelope(t, values):
@@ -171,42 +155,20 @@ def envelope(t, values):
     return maximum_filter1d(np.abs(values), round(AROUND / (t[1] - t[0])))
 
 
-def label(axes, below, beside):
-    """Label the lowest and the leftmost of some panels."""
-    for axis in axes[-1] if below else ():
-        axis.set_xlabel(below)
-    for axis in axes[:, 0]:
-        axis.set_ylabel(beside)
-
-
-def label_times(axes):
-    """Label the time axes of five panels (2, 3); the room of the sixth is for the legend."""
-    axes[0, 2].tick_params(labelbottom=True)
-    axes[1, 2].axis('off')
-    axes[1, 2].legend(*axes[0, 0].get_legend_handles_labels(), loc='center', fontsize=9)
-    for axis in (axes[1, 0], axes[1, 1], axes[0, 2]):
-        axis.set_xlabel('t [s]')
-
-
 def wrong_axial(t, fem, newton):
     """Return Fig. 13 and its verdict."""
     run = simulate('newton_rigid_axial', MODES)
-    figure, axes = plt.subplots(2, 3, figsize=(10, 4.8), sharex=True)
-    panels = [
-        ('x_c [m]', lambda r: r.carrier[:, 0], fem['x_c_m']),
-        ('y_c [m]', lambda r: r.carrier[:, 1], fem['y_c_m']),
-        ('theta [deg]', lambda r: np.degrees(r.shaft), np.degrees(fem['theta_rad'])),
-        ('w(l) [mm]', lambda r: 1e3 * r.deflection(LENGTH)[:, 1], 1e3 * fem['w_l_m']),
-        ('phi(l) [deg]', lambda r: np.degrees(r.rotation(LENGTH)), np.degrees(fem['phi_l_rad'])),
-    ]
-    for axis, (name, pick, theirs) in zip(axes.flat, panels):
-        axis.plot(t, theirs, color=BLACK, lw=2.2, alpha=0.35, label='finite elements')
-        axis.plot(t, pick(newton), color=COLOURS['newton'], label='newton, (34)')
-        axis.plot(t, pick(run), '--', color=COLOURS['newton_rigid_axial'],
-                  label='newton_rigid_axial, (35)')
-        axis.set_ylabel(name)
-    label_times(axes)
-    text = save(figure, '13', 'Fig. 13: the wrong axial assumption (35)')
+    figure, axes = sheet(2, height=4.6, sharex=True)
+    for axis, k in zip(axes, (0, 1)):
+        axis.plot(t, fem[f'{"xy"[k]}_c_m'], color=MEASURED, lw=3.5)
+        axis.plot(t, newton.carrier[:, k], color=COLOURS['newton'], lw=1.2,
+                  label='newton, (34),\non finite elements')
+        axis.plot(t, run.carrier[:, k], color=COLOURS['newton_rigid_axial'],
+                  label='newton_rigid_axial,\n(35)')
+        axis.set_ylabel(f'{"xy"[k]}_c [m]')
+    finish(figure, axes, t)
+    text = save(figure, '13', 'Fig. 13: the wrong axial assumption (35) moves the carrier; shaft '
+                'angle, deflection and rotation are those of (34)')
     moved = np.abs(run.carrier - newton.carrier).max(axis=0)
     kept = max(np.abs(run.shaft - newton.shaft).max(), np.abs(
         run.deflection(LENGTH) - newton.deflection(LENGTH)).max())
@@ -219,24 +181,21 @@ def wrong_axial(t, fem, newton):
 
 def error_histories(t, runs, truth):
     """Return Fig. 11 and its verdicts."""
-    figure, axes = plt.subplots(3, 2, figsize=(9, 6.5), sharex=True)
+    figure, axes = sheet(3, height=6.0, sharex=True)
     verdicts, rows = [], []
     names = ('horizontal', 'vertical', 'angular')
     found = {name: errors(motion_of(run), truth) for name, run in runs.items()}
-    for column, (formulation, error) in enumerate(found.items()):
-        for row, name in enumerate(names):
-            axis = axes[row, column]
-            for key, colour in zip(STATIONS, (BLACK, ORANGE, BLUE, GREEN, RED)):
-                axis.semilogy(t, envelope(t, error[key][:, row]), color=colour,
-                              label=f'xi = {NAMES[key]}')
-            axis.axhline((0.08, 0.15, 0.15)[row], color=BLACK, ls=':', lw=1)
-            axis.set_ylim(1e-7, 1)
-            axis.set_title(f'{name}, {formulation}', fontsize=9)
-    label(axes, 't [s]', 'error [%]')
-    figure.legend(*axes[0, 0].get_legend_handles_labels(), loc='outside lower center', ncols=5)
-    text = save(figure, '11', f'Fig. 11: largest errors within {AROUND:g} s against finite '
-                f'elements, N = {MODES}, of newton (left) and exact (right); dotted: the bound '
-                'printed in the paper')
+    for row, (name, axis) in enumerate(zip(names, axes)):
+        for formulation, error in found.items():
+            axis.semilogy(t, envelope(t, np.max([each[:, row] for each in error.values()],
+                                                axis=0)),
+                          color=COLOURS[formulation], label=formulation)
+        axis.plot(t[[0, -1]], 2 * [(0.08, 0.15, 0.15)[row]], ':', color=BLACK,
+                  label="paper's bound")
+        axis.set(ylim=(1e-7, 1), ylabel=f'{name} [%]')
+    finish(figure, axes, t)
+    text = save(figure, '11', f'Fig. 11: largest error of a position of five sections within '
+                f'{AROUND:g} s against finite elements, N = {MODES}')
     for row, (name, bound) in enumerate(zip(names, (0.08, 0.15, 0.15))):
         largest = {formulation: {key: error[key][:, row].max() for key in STATIONS}
                    for formulation, error in found.items()}
@@ -261,18 +220,21 @@ def errors_over_modes(truth):
     found = {name: [{key: error.max(axis=0) for key, error in errors(
         motion_of(simulate(name, count)), truth).items()} for count in counts]
         for name in FORMULATIONS}
-    figure, axes = plt.subplots(3, 3, figsize=(9, 7), sharex=True, sharey=True)
-    for row, name_of in enumerate(('horizontal', 'vertical', 'angular')):
-        for axis, key in zip(axes[row], ('l4', 'l2', 'l')):
-            for (name, each), marker in zip(found.items(), 'os^v'):
-                axis.semilogy(counts, [error[key][row] for error in each], marker + '-', ms=4,
-                              color=COLOURS[name], label=name)
-            axis.axhline(3.0, color=BLACK, ls=':', lw=1)
-            axis.set_title(f'{name_of}, xi = {NAMES[key]}', fontsize=9)
-    label(axes, 'N', 'largest error [%]')
-    figure.legend(*axes[0, 0].get_legend_handles_labels(), loc='outside lower center', ncols=4)
-    text = save(figure, '12', 'Fig. 12: largest error over 10 s against the number of modes; '
-                'dotted: 3 %') + '\n'
+    figure, axes = sheet(1, 3, 3.8, sharey=True)
+    for row, (axis, name_of) in enumerate(zip(axes, ('horizontal', 'vertical', 'angular'))):
+        for (name, each), marker in zip(found.items(), 'os^v'):
+            axis.semilogy(counts, [max(error[key][row] for key in STATIONS) for error in each],
+                          marker + '-', ms=7, mfc='none', color=COLOURS[name], label=name)
+        axis.axhline(3.0, color=BLACK, ls=':', lw=1)
+        axis.set_title(f'{name_of} position', fontsize=10)
+        axis.set(xlabel='modes N', xticks=counts)
+        axis.grid(alpha=0.3)
+    axes[0].set_ylabel('largest error of a section [%]')
+    figure.legend(*axes[0].get_legend_handles_labels(), loc='outside lower center', ncols=4,
+                  frameon=False)
+    text = save(figure, '12', 'Fig. 12: largest error over 10 s, at any of five sections, against '
+                'the number of modes; dotted: 3 %. In the angular position newton and '
+                'newton_rigid_axial are the same') + '\n'
     worst = {name: [max(error[key].max() for key in STATIONS) for error in each]
              for name, each in found.items()}
     text += table(['formulation, largest error % of any position at any section',

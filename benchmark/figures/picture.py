@@ -3,11 +3,11 @@
 
 """Draw the arm in the paper's scene, and signs: `make picture` writes README.md's and fit.md's."""
 
-import matplotlib.pyplot as plt
 import numpy as np
 
 from benchmark import ROOT
-from benchmark.report import BLUE, GREY, parser, RED
+from benchmark.drawing import BLUE, DIFFERENCE, GREY, MEASURED, PREDICTED, RED, save, sheet
+from benchmark.report import parser
 from oracles.references import read
 import timo_sim
 from timo_sim.view.plot import animate
@@ -18,62 +18,31 @@ SCALE = 5.0  # of the drawn deflection
 
 
 def main():
-    """Draw the arm beside the reference, the plot of README's first script, and an animation."""
+    """Draw the tip beside the reference, the plot of the first script, signs, and an animation."""
     parser(__spec__, __doc__).parse_args()
     run = timo_sim.simulate(timo_sim.load_scene('paper', {'model.modes': 5}), 10.0)
-    run.plot(SCALE).savefig(ROOT / 'doc' / 'run.png', dpi=80)
+    save(run.plot(SCALE), 'run')
     run = timo_sim.simulate(timo_sim.load_scene('paper'), 4.0)
     animate([Track(run, 'paper', SCALE)], ROOT / 'doc' / 'arm.gif')
-    print('wrote doc/run.png and doc/arm.gif')
     _draw_arm()
     _draw_signs()
 
 
 def _draw_arm():
-    plt.rcParams.update({'font.size': 13})
     scene = timo_sim.load_scene(ROOT / 'config' / 'paper.yaml',
                                 {'model.modes': 5, 'integrator.step': 0.005})
     run = timo_sim.simulate(scene, 10.0, sample_every=2)
-    across = read('paper')[1]['w_l_m']
-
-    figure = plt.figure(figsize=(15, 5), layout='constrained')
-    axes = figure.subplot_mosaic([['plane', 'shape', 'time'], ['plane', 'shape', 'rest']],
-                                 width_ratios=[1, 1, 1.5], height_ratios=[3, 1])
-    plane, shape, time, rest = (axes[name] for name in ('plane', 'shape', 'time', 'rest'))
-    xi = np.linspace(0.0, LENGTH, 41)
-    line = np.stack([run.position(x) for x in xi], axis=1)
-    bend = np.stack([run.deflection(x) for x in xi], axis=1)
-    peak = int(np.abs(bend[:, -1, 1]).argmax())
-
-    plane.plot(*line[:, -1].T, color=GREY, lw=0.8, label='path of the tip')
-    for k in np.linspace(0, len(run.t) - 1, 6).astype(int):
-        colour = plt.cm.Blues(0.3 + 0.7 * k / len(run.t))
-        plane.plot(*line[k].T, color=colour, lw=2)
-        plane.plot(*line[k, -1], 'o', color=colour, ms=8)
-        plane.plot(*run.carrier[k], 's', color=colour, ms=10)
-    plane.set(xlabel='x [m]', ylabel='y [m]', aspect='equal', xlim=(-0.1, 1.7),
-              title='carrier, arm, end effector\nevery 2 s, light to dark')
-
-    for k in range(peak - 12, peak + 1, 3):
-        last = k == peak
-        shape.plot(xi + bend[k, :, 0], 1e3 * bend[k, :, 1], lw=3 if last else 1.5,
-                   color=RED if last else plt.cm.Blues(0.4 + 0.05 * (k - peak + 12)))
-    shape.axhline(0.0, color=GREY, lw=0.8)
-    shape.set(xlabel='along the arm, I [m]', ylabel='across, II [mm]',
-              title=f'bent arm, every 30 ms\nuntil its largest bend at {run.t[peak]:.2f} s')
-
-    time.plot(run.t, 1e3 * across, color=GREY, lw=4, label='finite elements')
-    time.plot(run.t, 1e3 * run.deflection(LENGTH)[:, 1], color=BLUE, lw=1.5,
-              label='timo_sim, 5 modes, 5 ms')
-    error = run.deflection(LENGTH)[:, 1] - across
-    largest = 1e6 * np.abs(error).max()
-    time.set(ylabel='tip deflection w(l) [mm]', xlim=(0, 10), ylim=(-100, 130), xticklabels=[],
-             title=f'tip against finite elements\nlargest difference {largest:.1f} \u00b5m')
-    rest.plot(run.t, 1e6 * error, color=BLUE, lw=0.8)
-    rest.set(xlabel='t [s]', ylabel='difference\n[\u00b5m]', xlim=(0, 10))
-    time.legend(loc='upper right', ncols=2, fontsize=11)
-    figure.savefig(ROOT / 'doc' / 'arm.png', dpi=100)
-    print(f'wrote doc/arm.png; largest difference in w(l): {largest:.2f} um')
+    across, ours = read('paper')[1]['w_l_m'], run.deflection(LENGTH)[:, 1]
+    figure, (time, rest) = sheet(2, height=4.6, sharex=True, height_ratios=[3, 2])
+    time.plot(run.t, 1e3 * across, color=MEASURED, lw=3.5, label='finite elements')
+    time.plot(run.t, 1e3 * ours, color=PREDICTED, lw=1.2, label='timo_sim, 5 modes, 5 ms, on them')
+    rest.plot(run.t, 1e6 * (ours - across), color=DIFFERENCE, lw=1.0)
+    time.set(ylabel='tip deflection w(l) [mm]', xlim=(0, 10))
+    rest.set(xlabel='t [s]', ylabel='difference [\u00b5m]')
+    time.legend(loc='lower right', bbox_to_anchor=(1.0, 1.0), ncols=2, frameon=False)
+    figure.align_ylabels()
+    save(figure, 'arm')
+    print(f'doc/arm.png; largest difference: {1e6 * np.abs(ours - across).max():.2f} um')
 
 
 def _draw_signs():
@@ -90,7 +59,7 @@ def _draw_signs():
     seen, end = (np.arctan2(*(tip - point)[::-1]) for point in (root, line[-2]))
     along, beyond = (np.array([np.cos(angle), np.sin(angle)]) for angle in (shaft, end))
 
-    figure, axes = plt.subplots(figsize=(10, 6.3), layout='constrained')
+    figure, axes = sheet(height=5.3)
     axes.fill(*np.concatenate([line + side, (line - side)[::-1]]).T, color='#cfe3f1')
     axes.plot(*line.T, color=BLUE, lw=1)
     axes.plot(*(line - side)[1:7].T, color=RED, lw=6, solid_capstyle='butt')
@@ -118,8 +87,7 @@ def _draw_signs():
     axes.text(*(root + [2.02, 0.0]), 'x', va='center')
     axes.set(aspect='equal', xlim=(-0.3, 2.5), ylim=(-0.35, 1.4))
     axes.axis('off')
-    figure.savefig(ROOT / 'doc' / 'signs.png', dpi=80)
-    print('wrote doc/signs.png')
+    save(figure, 'signs')
 
 
 if __name__ == '__main__':

@@ -4,17 +4,15 @@
 """
 Draws doc/benchmark/*.png, run time against error, from doc/benchmark/work_precision.json.
 
-Each picture has the fastest methods of each family; *_all.png has all methods. `make benchmark`
-writes that file and these pictures; `make picture` draws them without measuring.
+Each picture has the fastest methods of each family; the tables of doc/benchmark.md have all.
+`make benchmark` writes that file and these pictures; `make picture` draws them without measuring.
 """
 
 import json
 
-from matplotlib.figure import Figure
-import numpy as np
-
-from benchmark import ROOT
-from benchmark.report import BLACK, BLUE, GREEN, parser, RED
+from benchmark import drawing, ROOT
+from benchmark.drawing import BLACK, BLUE, GREEN, name_ends, RED, sheet
+from benchmark.report import parser
 
 FOLDER = ROOT / 'doc' / 'benchmark'
 # Families of methods: kinds, in words, and how they are drawn.
@@ -22,65 +20,40 @@ FAMILIES = (({'timo_sim'}, 'timo_sim', BLUE, 'o'),
             ({'integrator'}, 'other integrators of our equations', GREEN, '^'),
             ({'links', 'links, our step'}, 'links by hand', BLACK, 'D'),
             ({'engine'}, 'engines', RED, 's'))
-APART = 0.043  # least distance of labels, in heights of the axes
 
 
-def draw(run, everything):
-    """Return a figure of the fastest settings of a run, by error, of the best or all methods."""
+def draw(run):
+    """Return a figure of the fastest settings, by error, of the fastest methods of a run."""
     goals, methods = run['goals_m'], run['methods']
-    reached = {method: [each and each['seconds'] for each in found['best']]
+    reached = {method: [each['seconds'] for each in found['best'] if each]
                for method, found in methods.items() if found['best'][0]}
-    figure = Figure(figsize=(10.5, 6.0), layout='constrained')
-    axes = figure.subplots()
-    axes.set(yscale='log', xlim=(-1.75, len(goals) - 0.9), xticks=range(len(goals)),
+    figure, axes = sheet(height=4.4)
+    axes.yaxis.tick_right()
+    axes.yaxis.set_label_position('right')
+    axes.set(yscale='log', xlim=(-0.1, len(goals) - 0.9), xticks=range(len(goals)),
              xticklabels=[f'{goal:g} m' for goal in goals],
              xlabel='for an error of the tip deflection below',
              ylabel='CPU time of the solver [s]')
-    labels, times = [], []
+    legend = []
     for kinds, words, colour, marker in FAMILIES:
         family = {method: values for method, values in reached.items()
                   if methods[method]['kind'] in kinds}
-        best = {min((values[k], method) for method, values in family.items() if values[k])[1]
-                for k in range(len(goals)) if any(values[k] for values in family.values())}
-        if not everything:
-            family = {method: family[method] for method in best}
-        axes.plot([], [], color=colour, marker=marker, label=words)
-        for method, values in family.items():
-            style = {'lw': 2.4, 'ms': 7, 'zorder': 3} if method in best else {
-                'lw': 0.9, 'ms': 4, 'alpha': 0.5}
-            count = sum(value is not None for value in values)
-            axes.plot(range(count), values[:count], color=colour, marker=marker, **style)
-            labels.append((values[0], method, colour, method in best))
-            times += values[:count]
-    axes.set_ylim(0.6 * min(times), 1.6 * max(times))
-    _label(axes, sorted(labels))
-    missed = everything and [method for method in methods if method not in reached]
-    axes.set_title('not reached: ' + '; '.join(missed) if missed else '', fontsize=9, loc='left')
+        best = {min((values[k], method) for method, values in family.items()
+                    if len(values) > k)[1]
+                for k in range(len(goals)) if any(len(values) > k for values in family.values())}
+        for method in sorted(best):
+            line, = axes.plot(reached[method], color=colour, marker=marker, lw=2.0, ms=7,
+                              label=method)
+        legend += [(line, words)] * bool(best)
     axes.grid(alpha=0.3)
-    figure.legend(loc='outside lower center', ncols=len(FAMILIES), fontsize=9, frameon=False)
+    figure.legend(*zip(*legend), loc='outside lower center', ncols=2, frameon=False)
+    name_ends(axes, first=True)
     return figure
 
 
 def save(name, run):
-    """Write both pictures of a scene."""
-    for everything, end in ((False, ''), (True, '_all')):
-        draw(run, everything).savefig(FOLDER / f'{name}{end}.png', dpi=110)
-
-
-def _label(axes, labels):
-    """Write names beside the first points of lines, ascending by height and apart from another."""
-    low, high = np.log(axes.get_ylim())
-    steps = APART * np.arange(len(labels))
-    wanted = (np.log([value for value, *_ in labels]) - low) / (high - low) - steps
-    # Pushed up or down, or between the two, heights keep their order and distance.
-    moved = 0.5 * (np.maximum.accumulate(wanted) + np.minimum.accumulate(wanted[::-1])[::-1])
-    heights = steps + np.clip(moved, 0.03, 0.97 - steps[-1])
-    for (value, method, colour, bold), height in zip(labels, heights):
-        axes.annotate(method, (0.0, value), (0.305, height), textcoords='axes fraction',
-                      color=colour, ha='right', va='center', fontsize=9,
-                      fontweight='bold' if bold else 'normal',
-                      arrowprops={'arrowstyle': '-', 'color': colour, 'lw': 0.6, 'alpha': 0.6,
-                                  'shrinkA': 0, 'shrinkB': 3, 'relpos': (1.0, 0.5)})
+    """Write the picture of a scene."""
+    drawing.save(draw(run), f'benchmark/{name}')
 
 
 def main():

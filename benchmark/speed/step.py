@@ -12,12 +12,12 @@ import tempfile
 from xml.etree import ElementTree
 import zipfile
 
-import matplotlib.pyplot as plt
 from matplotlib.ticker import FuncFormatter, LogLocator, NullFormatter
 import numpy as np
 
 from benchmark import ROOT
-from benchmark.report import BLUE, table
+from benchmark.drawing import BLUE, save, sheet
+from benchmark.report import table
 from benchmark.timing import seconds, timed
 from oracles.references import read
 import timo_sim
@@ -188,20 +188,27 @@ def exponent(x, y):
     return f'{np.polyfit(np.log(x), np.log(y), 1)[0]:.2f}'
 
 
+def least_of_step(runs):
+    """Return the least time of a step of each Prepared, which take turns, shape (n,) [s]."""
+    return np.array([each.least for each in timed(*(run.run for run in runs),
+                                                  units=runs[0].steps)])
+
+
 def curves(quick):
     """Return a table of exponents of the cost over N, n_g and the length of a run; draw it."""
     modes = np.array([1, 3, 10, 14] if quick else [*range(1, 9), 10, 14, 20, 28, 40])
     runs = [Prepared(paper(modes=int(n)), 200) for n in modes]
-    over_modes = np.array([run.time_of_step().least for run in runs])
+    over_modes = least_of_step(runs)
     nodes = np.array([6, 16] if quick else [6, 8, 12, 16, 24, 32, 48])
-    over_nodes = np.array([Prepared(paper(), 200, int(g)).time_of_step().least for g in nodes])
+    over_nodes = least_of_step([Prepared(paper(), 200, int(g)) for g in nodes])
     horizons = np.array([1, 10, 100] if quick else [1, 3, 10, 30, 100, 300, 1000, 3000])
-    over_horizon = np.array([min(seconds(lambda: timo_sim.simulate(
-        paper(), float(horizon), sample_every=100, estimate=False)) for _ in range(5))
-        for horizon in horizons])
+    # In turns: a slow while of the machine is one of all horizons.
+    over_horizon = np.min([[seconds(lambda: timo_sim.simulate(
+        paper(), float(horizon), sample_every=100, estimate=False)) for horizon in horizons]
+        for _ in range(5)], axis=0)
     if not quick:
-        _draw((modes, 1e6 * over_modes, 'modes N', 'least time of a step [us]'),
-              (nodes, 1e6 * over_nodes, 'quadrature nodes, N = 3', 'least time of a step [us]'),
+        _draw((modes, 1e6 * over_modes, 'modes N', 'time of a step [us]'),
+              (nodes, 1e6 * over_nodes, 'quadrature nodes, N = 3', 'time of a step [us]'),
               (horizons, over_horizon, 'sim time [s], h = 10 ms', 'time of a run [s]'))
     few, many, half = modes <= 5, modes >= 10, len(nodes) // 2
     plain = table(['N', 'nodes', 'least time of a step'], [
@@ -221,15 +228,15 @@ def curves(quick):
 
 
 def _draw(*panels):
-    figure, axes = plt.subplots(1, 3, figsize=(11, 3.6), layout='tight')
+    figure, axes = sheet(1, 3, 3.2)
     for axis, (x, y, label, unit) in zip(axes, panels):
         axis.loglog(x, y, 'o-', color=BLUE)
-        axis.set(xlabel=label, ylabel=unit)
+        axis.set(xlabel=label)
+        axis.set_title(unit, loc='left')
         axis.grid(alpha=0.3, which='both')
         axis.set_xticks(x[::2], [f'{value:g}' for value in x[::2]])
         axis.set_xticks([], minor=True)
         axis.yaxis.set_major_locator(LogLocator(subs=(1.0, 2.0, 5.0), numticks=20))
         axis.yaxis.set_major_formatter(FuncFormatter(lambda value, _: f'{value:g}'))
         axis.yaxis.set_minor_formatter(NullFormatter())
-    figure.savefig(ROOT / 'doc' / 'speed' / 'cost.png', dpi=110)
-    plt.close(figure)
+    save(figure, 'speed/cost')

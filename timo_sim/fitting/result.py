@@ -15,6 +15,7 @@ from typing import Any, NamedTuple, TYPE_CHECKING
 
 import numpy as np
 
+from timo_sim.extras import optional
 from timo_sim.fitting.auto import choose, plain
 from timo_sim.fitting.logs import read_log
 from timo_sim.fitting.look import begin_with, look, noise_of, turned
@@ -34,7 +35,6 @@ from timo_sim.scene.parameters import (
     checked, FLAG, FUNCTION, MAPPING, Parameter, ParameterError, PATH, short, TEXTS, warn, WHOLE)
 from timo_sim.scene.scene import load_scene, Scene, SceneLike
 from timo_sim.simulation.finer import refine
-from timo_sim.view.fit import draw_fit, draw_responses
 
 if TYPE_CHECKING:
     from matplotlib.figure import Figure
@@ -122,6 +122,8 @@ class Prediction:
 
     def plot(self) -> Figure:
         """Draw measured and predicted outputs, and their difference; needs matplotlib."""
+        with optional():
+            from timo_sim.view.fit import draw_fit
         return draw_fit([self], unit_of)
 
 
@@ -193,6 +195,8 @@ class Fit(Prediction):
         """Draw `Prediction.plot` of all records, side by side."""
         every = [self, *self.more]
         in_time = [each for each in every if not isinstance(each.record, Response)]
+        with optional():
+            from timo_sim.view.fit import draw_fit, draw_responses
         return draw_fit(in_time, unit_of) if in_time else draw_responses(every)
 
     def report(self) -> str:

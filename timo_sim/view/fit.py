@@ -3,41 +3,45 @@
 
 """Pictures of fits: what was measured and what is predicted."""
 
-from __future__ import annotations
-
 from collections.abc import Callable, Sequence
-from typing import Any, TYPE_CHECKING
+from typing import Any
 
+from matplotlib.figure import Figure
 import numpy as np
 
-from timo_sim.extras import optional
+from timo_sim.view.plot import DIFFERENCE, MEASURED, PREDICTED
 
-if TYPE_CHECKING:
-    from matplotlib.figure import Figure
+_MOST_SWINGS, _SWINGS = 25, 8  # that can be read in a record, and of a detail of it
 
 
 def draw_fit(predictions: Sequence[Any], unit_of: Callable[[str], str]) -> Figure:
     """
     Draw records in columns, whose rows are inputs and outputs; what was held out is grey.
 
+    A single record with too many swings to read has a second column, a detail of it.
+
     `predictions` are as `timo_sim.fitting.result.Prediction`; `unit_of` gives units of quantities.
     """
-    with optional():
-        from matplotlib.figure import Figure
-
-        from timo_sim.view.plot import COLOURS
     inputs, outputs = ([*dict.fromkeys(
         name for each in predictions for name in getattr(each.record, kind))]
         for kind in ('inputs', 'outputs'))
-    rows, count = [*inputs, *outputs], len(predictions)
-    figure = Figure(figsize=(max(12, 8 * count), 1.0 + 2.2 * len(rows)), layout='constrained')
-    every = figure.subplots(len(rows), count, sharex='col', sharey='row', squeeze=False,
-                            height_ratios=[0.6] * len(inputs) + [1.0] * len(outputs))
-    for number, (prediction, column) in enumerate(zip(predictions, every.T), 1):
+    rows, parts = [*inputs, *outputs], [(each, (0.0, each.record.duration))
+                                        for each in predictions]
+    detail = _detail(predictions[0]) if len(predictions) == 1 and (
+        predictions[0].predicted) else None
+    if detail is not None:
+        parts.append((predictions[0], detail))
+    figure = Figure(figsize=(max(8.4, 6.0 * len(predictions)), 1.0 + 1.7 * len(rows)),
+                    layout='constrained')
+    every = figure.subplots(len(rows), len(parts), sharex='col', sharey='row', squeeze=False,
+                            height_ratios=[0.6] * len(inputs) + [1.0] * len(outputs),
+                            width_ratios=None if detail is None else [2, 1])
+    for number, ((prediction, part), column) in enumerate(zip(parts, every.T), 1):
         record = prediction.record
         for axes, name in zip(column, rows):
             channel = {**record.inputs, **record.outputs}.get(name)
-            title = f'record {number}, {record.source}' if count > 1 and axes is column[0] else ''
+            title = f'record {number}, {record.source}' if len(
+                predictions) > 1 and axes is column[0] else ''
             axes.set_title(title, loc='left', fontsize='medium')
             axes.grid(alpha=0.3)
             if prediction.until < record.duration:
@@ -51,27 +55,42 @@ def draw_fit(predictions: Sequence[Any], unit_of: Callable[[str], str]) -> Figur
                 axes.plot(channel.t, channel.values, color='0.4', linewidth=1.0,
                           drawstyle='steps-post' if channel.hold == 'zero' else 'default')
                 continue
-            axes.plot(channel.t, channel.values, color=COLOURS[0], label='measured', linewidth=2.0)
+            axes.plot(channel.t, channel.values, color=MEASURED, label='measured', linewidth=2.5)
             if name in prediction.predicted:
                 shown = prediction.predicted[name]
-                axes.plot(channel.t, shown, color=COLOURS[1], linewidth=1.2, label='predicted')
-                axes.plot(channel.t, channel.values - shown, color=COLOURS[2], linewidth=0.8,
+                axes.plot(channel.t, shown, color=PREDICTED, linewidth=1.2,
+                          label='predicted, drawn over it')
+                axes.plot(channel.t, channel.values - shown, color=DIFFERENCE, linewidth=0.8,
                           label='difference')
             each = prediction.errors[name]
-            text = 'R² = ' + ', '.join(f'{value:.3f} {part}' for value, part in (
+            text = 'R² = ' + ', '.join(f'{value:.3f} {half}' for value, half in (
                 (each.r_squared, 'fitted'), (each.hold_out_r_squared, 'held out'))
                 if np.isfinite(value))
-            axes.legend(fontsize='medium', ncols=3, frameon=False, loc='lower right',
-                        bbox_to_anchor=(1.0, 1.0), borderaxespad=0.0)
-            axes.set_title(f'{title}\n{text}'.strip(), loc='left', fontsize='medium')
-        column[-1].set(xlabel='time [s]', xlim=(0.0, record.duration))
+            axes.set_title(f'{title}\n{text}'.strip() if part is not detail else
+                           'where it is worst' * (name == rows[-1]), loc='left', fontsize='medium')
+        column[-1].set(xlabel='time [s]', xlim=part)
+    figure.legend(*axes.get_legend_handles_labels(), loc='outside upper right', ncols=3,
+                  frameon=False)
     return figure
+
+
+def _detail(prediction):
+    """Return begin and end [s] of a detail, where the last output, if it swings, is worst."""
+    name, shown = [*prediction.predicted.items()][-1]
+    t, values, *_ = prediction.record.outputs[name]
+    far = values[np.abs(values - values.mean()) > 0.3 * values.std()] > values.mean()
+    swings = 0.5 * np.count_nonzero(np.diff(far))
+    if swings < _MOST_SWINGS:
+        return None
+    # Of a record that is held out in part, that part.
+    asked = (t >= prediction.until) | (prediction.until >= t[-1])
+    worst, half = t[np.where(asked, np.abs(values - shown), 0.0).argmax()], (
+        0.5 * t[-1] * _SWINGS / swings)
+    return np.clip(worst, half, t[-1] - half) + [-half, half]
 
 
 def draw_responses(predictions: Sequence[Any]) -> Figure:
     """Return a Figure: measured points and predicted curves, a column for each response."""
-    with optional():
-        from matplotlib.figure import Figure
     figure = Figure(figsize=(7 * len(predictions), 7), layout='constrained')
     for (size, phase), prediction in zip(figure.subplots(
             2, len(predictions), sharex='col', squeeze=False).T, predictions):

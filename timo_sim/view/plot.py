@@ -21,16 +21,19 @@ from timo_sim.view.track import FPS, Track
 
 # Okabe and Ito's colours, which colour-blind readers tell apart.
 COLOURS = '#0072b2', '#d55e00', '#009e73', '#cc79a7', '#e69f00', '#56b4e9'
-_ARMS = 5  # shapes of the arm that are drawn
+MEASURED, PREDICTED, DIFFERENCE = COLOURS[:3]
+_ARMS = 3  # shapes of the arm that are drawn
 _FREQUENCIES = 4000
 _GREY = '0.5'
+_ABOVE = {'fontsize': 'small', 'frameon': False, 'loc': 'lower right',
+          'bbox_to_anchor': (1.0, 1.0), 'borderaxespad': 0.0}
 
 
 def plot(run: Any, deflection_scale: float = 1.0) -> Figure:
     """
     Return a Figure of a Run: curves of what can move or is held, and the arm in the plane.
 
-    The plane shows the arm where it is bent most in each fifth of the run, with `deflection_scale`
+    The plane shows the arm where it is bent most in each third of the run, with `deflection_scale`
     times its deflection; one that is not above 0 and at most 1e9 is a ParameterError.
     """
     track, panels, bend = Track(run, '', deflection_scale), _panels(run), run.deflection()
@@ -41,18 +44,17 @@ def plot(run: Any, deflection_scale: float = 1.0) -> Figure:
     most = [k for k in most if not any(
         abs(k - other) <= near and size[k] < size[other] for other in most)]
     shapes, straight = track.line(slice(None)), track.straight(np.array(most))
-    extent, height = np.ptp(shapes, axis=(0, 1)), max(2.0 * len(panels), 6.0)
-    width = min(max(height * extent[0] / max(extent[1], 0.1 * extent[0]), 3.0), 9.0)
-    figure = Figure(figsize=(6.5 + width, height + 0.8), layout='constrained')
-    left, right = np.asarray(figure.subfigures(1, 2, width_ratios=[6.5, width]))
+    extent, height = np.ptp(shapes, axis=(0, 1)), max(1.6 * len(panels), 5.0)
+    width = min(max(height * extent[0] / max(extent[1], 0.1 * extent[0]), 2.5), 6.0)
+    figure = Figure(figsize=(4.8 + width, height + 0.8), layout='constrained')
+    left, right = np.asarray(figure.subfigures(1, 2, width_ratios=[4.8, width]))
     curves = left.subplots(len(panels), sharex=True, squeeze=False)[:, 0]
     for axes, (label, lines) in zip(curves, panels.items()):
         for (line, values), colour in zip(lines.items(), COLOURS):
             axes.plot(run.t, values, color=colour, label=line)
         axes.set(ylabel=label, xlim=(run.t[0], run.t[-1] or 1.0))
         axes.grid(alpha=0.3)
-        axes.legend(fontsize='small', ncols=len(lines), frameon=False, loc='lower right',
-                    bbox_to_anchor=(1.0, 1.0), borderaxespad=0.0)
+        axes.legend(ncols=len(lines), **_ABOVE)
     curves[-1].set(xlabel='time [s]')
 
     plane = right.subplots()
@@ -112,21 +114,23 @@ def bode(model: Any, frequencies: np.ndarray) -> Figure:
     cause, per = without_unit(model.inputs[0])
     per = f'({per})' if ' ' in per else per
     units = [*dict.fromkeys(unit for _, unit in outputs)]
-    figure = Figure(figsize=(12, 3.5 + 1.5 * len(units)), layout='constrained')
+    figure = Figure(figsize=(8.4, 2.5 + 1.5 * len(units)), layout='constrained')
     axes = figure.subplot_mosaic([[name, 'poles'] for name in (*units, 'phase')],
-                                 width_ratios=[2, 1])
-    for (name, unit), values, colour in zip(outputs, response[:, :, 0].T, cycle(COLOURS)):
+                                 width_ratios=[5, 2])
+    for (name, unit), values, colour, style in zip(outputs, response[:, :, 0].T, cycle(COLOURS),
+                                                   cycle(('-', '--', '-.', ':'))):
         axes[unit].loglog(frequency, np.abs(values), color=colour, label=name.replace('_', ' '))
         # Rotated by 1e-3 rad and back, so that round-off does not choose between +-180 degrees.
         phase = np.unwrap(np.angle(values * np.exp(-1e-3j))) + 1e-3
         phase -= 2.0 * np.pi * np.ceil((phase[0] - 0.5 * np.pi) / (2.0 * np.pi))
-        axes['phase'].semilogx(frequency, np.degrees(phase), color=colour)
+        axes['phase'].semilogx(frequency, np.degrees(phase), style, color=colour)
     for unit in units:
         if not any(np.any(line.get_ydata()) for line in axes[unit].lines):
             axes[unit].set_yscale('linear')  # zero is on no other, such as the strain of no modes
-        axes[unit].set(ylabel=f'gain [{unit or 1} / {per}]')
-        axes[unit].legend(fontsize='small')
-    axes[units[0]].set(title=f'response to {cause.replace("_", " ")}')
+        axes[unit].set(ylabel=f'[{unit or 1} / {per}]')
+        axes[unit].tick_params(labelbottom=False)
+        axes[unit].legend(**_ABOVE)
+    axes[units[0]].set(title=f'gain from {cause.replace("_", " ")}')
     axes['phase'].set(xlabel='frequency [Hz]', ylabel='phase [deg]')
     axes['phase'].yaxis.set_major_locator(MultipleLocator(90.0))
     axes['poles'].plot(poles.real, poles.imag / (2.0 * np.pi), 'x', color=COLOURS[0])
