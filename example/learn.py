@@ -13,7 +13,6 @@ better ones. Source: Mania, Guy and Recht, Advances in Neural Information Proces
 """
 
 from argparse import ArgumentParser
-import math
 
 import numpy as np
 from timo_sim.gym import ReachVectorEnv
@@ -50,7 +49,7 @@ def episodes(envs, weights, goals):
 
 
 def train(generations, random):
-    """Return weights, (5, NEURONS), and the mean return of each generation."""
+    """Return weights, (5, NEURONS), after each generation."""
     envs = ReachVectorEnv(2 * DIRECTIONS * GOALS)
     weights, history = np.zeros((5, NEURONS)), []
     weights[:4] = random.normal(size=(4, NEURONS)) / 2.0
@@ -62,11 +61,12 @@ def train(generations, random):
         forth, back = total.reshape(2, DIRECTIONS, GOALS).mean(axis=2)
         best = np.argsort(np.maximum(forth, back))[-BEST:]
         spread = np.std([forth[best], back[best]])
-        weights += RATE / (BEST * spread) * np.tensordot((forth - back)[best], change[best], 1)
-        history.append(total.mean())
+        weights = weights + RATE / (BEST * spread) * np.tensordot(
+            (forth - back)[best], change[best], 1)
+        history.append(weights)
         if len(history) % 100 == 0:
-            print(f'{len(history)} generations, mean return {history[-1]:.3f}', flush=True)
-    return weights, history
+            print(f'{len(history)} generations, mean return {total.mean():.3f}', flush=True)
+    return history
 
 
 def main():
@@ -75,36 +75,34 @@ def main():
     parser.add_argument('--generations', type=int, default=500)
     parser.add_argument('--plot', help='write a picture to this file')
     options, random = parser.parse_args(), np.random.default_rng(1)
-    weights, history = train(options.generations, random)
+    history = train(options.generations, random)
     envs, goals = ReachVectorEnv(UNSEEN), np.random.default_rng(2).uniform(-1.0, 1.0, UNSEEN)
     periods = round(REST / envs.period)
-    for name, tried in (('untrained', np.zeros_like(weights)), ('trained', weights)):
-        total, seen = episodes(envs, np.tile(tried, (UNSEEN, 1, 1)), goals)
+
+    def test(weights):
+        return episodes(envs, np.tile(weights, (UNSEEN, 1, 1)), goals)
+
+    for name, tried in (('untrained', np.zeros_like(history[-1])), ('trained', history[-1])):
+        total, seen = test(tried)
         far = 2.0 * LENGTH * np.abs(np.sin(0.5 * seen[-periods:, :, 0])).max(axis=0)
         print(f'{name}: mean return {total.mean():.3f}; in the last {REST:g} s the tip is at most '
               f'{1e3 * np.median(far):.1f} mm from its goal in half of {UNSEEN} unseen episodes, '
               f'{1e3 * far.max():.1f} mm in all')
     if options.plot:
-        draw(options.plot, history, envs.period, goals, seen)
+        some = np.unique(np.geomspace(1, len(history), 30).astype(int))
+        draw(options.plot, some, [test(history[k - 1])[0].mean() for k in some])
 
 
-def draw(path, history, period, goals, seen):
-    """Draw the returns while it learns, and directions of the tip in some episodes."""
-    import matplotlib.pyplot as plt
-    figure, (left, right) = plt.subplots(1, 2, figsize=(9.0, 3.5), layout='constrained')
-    several = min(20, len(history))
-    left.plot(history, color='0.8', label='of a generation')
-    left.plot(np.arange(several - 1, len(history)),
-              np.convolve(history, np.ones(several) / several, 'valid'),
-              label=f'mean of {several} generations')
-    left.legend()
-    left.set(xlabel='generation', ylabel='mean return')
-    times = period * np.arange(len(seen))
-    for k in np.argsort(goals)[len(goals) // 12::len(goals) // 6]:
-        right.axhline(math.degrees(goals[k]), color='0.6', linestyle=':')
-        right.plot(times, np.degrees(goals[k] - seen[:, k, 0]), color='C0')
-    right.set(xlabel='t [s]', ylabel='direction of the tip, and its goal [deg]')
-    figure.savefig(path, dpi=150)
+def draw(path, generations, returns):
+    """Draw the mean return of the unseen episodes after some generations."""
+    from matplotlib.figure import Figure
+    figure = Figure(figsize=(8.4, 3.5), layout='constrained')
+    axes = figure.subplots()
+    axes.semilogx(generations, returns, 'o-', color='#d55e00')
+    axes.set(xlabel='generations', ylabel=f'mean return of {UNSEEN} unseen episodes')
+    axes.xaxis.set_major_formatter('{x:g}')
+    axes.grid(alpha=0.3)
+    figure.savefig(path, dpi=100)
 
 
 if __name__ == '__main__':
