@@ -215,7 +215,7 @@ def draw_window():
     run = timo_sim.simulate(timo_sim.load_scene(ROOT / 'config/paper.yaml'), 10.0)
     with TemporaryDirectory() as folder:
         write([Track(run, 'paper')], Path(folder, 'run.rrd'), at=1.81)
-        picture(Path(folder, 'run.rrd'), Path(folder, 'view.png'), 1.81, (1500, 940))
+        picture(Path(folder, 'run.rrd'), Path(folder, 'view.png'), 1.81, (1100, 840))
         # Without the viewer's menu, which says things about the machine.
         drawing.quantised(np.asarray(Image.open(Path(folder, 'view.png')).convert('RGB'))[37:],
                           'view')

@@ -50,7 +50,7 @@ _TITLES = {
     'shaft_difference': 'difference of shaft [rad]',
     'carrier_difference': 'difference of carrier [m]',
 }
-_ON_FIRST_PAGE = 10
+_ON_FIRST_PAGE = 6
 # Panels with a legend when there are several runs.
 _WITH_LEGEND = 'tip_deflection', 'difference'
 _AT = Parameter('--at', 0.0, 's', 'sim time of the picture')
@@ -207,7 +207,7 @@ def _blueprint(panels, bounds, tracks):
     """
     views = [rrb.TimeSeriesView(
         origin=f'{_CURVES}/{key}', name=title,
-        plot_legend=rrb.PlotLegend(rrb.Corner2D.RightTop, visible=(
+        plot_legend=rrb.PlotLegend(rrb.Corner2D.LeftTop, visible=(
             key in _WITH_LEGEND if len(tracks) > 1 else panels[key] > 1)))
         for key, title in _TITLES.items() if key in panels]
     (left, bottom), (right, top) = bounds
