@@ -596,7 +596,7 @@ function drawCurves() {
   const right = width - 12;
   const across = time => left + (right - left) * (time - begin) / WINDOW;
   context.font = '12px system-ui, sans-serif';
-  context.lineJoin = 'bevel';
+  context.lineJoin = 'round';
   PANELS.forEach((panel, number) => {
     const top = number * each + 22, base = (number + 1) * each - 6;
     let low = Infinity, high = -Infinity;
@@ -638,13 +638,9 @@ function drawCurves() {
       context.setLineDash(dash);
       context.beginPath();
       let joined = false;
-      for (let k = 0; k < samples.length; ++k) {
-        const sample = samples[k], value = sample[key];
-        // Inside of a level line nothing need be drawn: dashes are dear.
-        if (joined && k + 1 < samples.length && samples[k - 1][key] === value && samples[k + 1][key] === value)
-          continue;
-        if (Number.isFinite(value)) {
-          context[joined ? 'lineTo' : 'moveTo'](across(sample.time), up(value * panel.factor));
+      for (const sample of samples) {
+        if (Number.isFinite(sample[key])) {
+          context[joined ? 'lineTo' : 'moveTo'](across(sample.time), up(sample[key] * panel.factor));
           joined = true;
         } else joined = false;
       }
