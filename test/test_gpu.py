@@ -71,7 +71,9 @@ def test_arms_that_are_alike_share_their_constants_and_take_arrays_of_the_device
     there.reset()
     for batch, own in (there, np.ndarray), (here, np.ndarray), (there, Away), (here, np.ndarray):
         batch.reset((torque > 0.0).view(own), motion=np.linspace(0.0, 0.01, 12))
-        batch.step(torque=torque.view(own), tip_force=[1.0, 2.0], duration=0.02)
+        found = batch.step(torque=torque.view(own), tip_force=[1.0, 2.0], duration=0.02)
+        # A loop of arrays of the device does not wait for the host.
+        assert type(found.values) is type(found.shaft) is own
         batch.advance(3, np.ones((45, LOADS)).view(own))
     copied = deepcopy(there)
     for batch in here, copied:

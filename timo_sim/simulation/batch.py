@@ -168,9 +168,8 @@ class Batch(Stateful):
     Raises
     ------
     ParameterError
-        If the scenes differ in size, or have a `model.accuracy`; or there is no GPU for them, they
-        do not fit into its memory, or have what it does not know: `payload.time`, or a carrier
-        held along one axis with a shaft that turns.
+        If the scenes differ in size, or have a `model.accuracy`; or there is no GPU for them, or
+        they do not fit into its memory.
     MissingPackage
         If a GPU is asked for without the extra.
 
@@ -336,12 +335,14 @@ class Batch(Stateful):
         Advance under constant commands as `Simulator.step` does, with its ParameterErrors.
 
         Commands are for all or for each: float or array_like, shape (n,), (2,) or (n, 2); or
-        arrays of the device that DLPack takes, for each. Returns the Motion at the end.
+        arrays of the device that DLPack takes, for each. Returns the Motion at the end; after such
+        commands its `values` are an array of the device.
         """
         commanded = commanded_load(self._needed, (self.n,), **commands) if (
             self._device is None) else self._on_device(commands)
         self.advance(1 if duration is None else steps_in(duration, self.scenes[0].step), commanded)
-        return self.motion
+        stays = self._device is not None and any(map(self._device.owns, commands.values()))
+        return Motion(self.on_device()['motion']) if stays else self.motion
 
     def _on_device(self, commands):
         """Return commands as loads on the device, (n, LOADS)."""
