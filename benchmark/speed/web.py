@@ -2,7 +2,7 @@
 # SPDX-License-Identifier: Apache-2.0
 
 """
-Measures the WebAssembly of a scene in node, the size of its page and the time of an export.
+Measures the WebAssembly of a scene in node, its page in browsers, their sizes, and an export.
 
 It fills doc/web.md. Times in node are the least of many short runs, which take turns.
 """
@@ -14,7 +14,9 @@ import resource
 import subprocess
 import sys
 import tempfile
+import time
 
+from benchmark.browser import BROWSERS, missing, opened
 from benchmark.report import make_page, table, targets
 from benchmark.timing import product
 from timo_sim.export.c import write_c
@@ -60,6 +62,61 @@ def steps(_):
         for kind, time in zip(KINDS, found)])
 
 
+# Notes when the first picture is there.
+FIRST = """<script>requestAnimationFrame(function look() {
+  if (typeof drawn === 'number' && drawn) window.first = performance.now();
+  else requestAnimationFrame(look);
+});</script>"""
+# Measures frames: what is between them, their script and, since a browser paints later, the script
+# until a pixel of each canvas can be read.
+WATCH = """
+const own = frame, paint = arguments[0];
+window.frames = [];
+window.frame = now => {
+  const begin = performance.now();
+  own(now);
+  if (paint) for (const id of ['plane', 'curves'])
+    byId(id).getContext('2d').getImageData(0, 0, 1, 1);
+  window.frames.push([now, performance.now() - begin]);
+};
+"""
+READ = """
+window.frame = own => {};
+const [times, spent] = [0, 1].map(place => window.frames.map(each => each[place]));
+spent.sort((a, b) => a - b);
+return [spent[spent.length >> 1], spent[Math.floor(0.95 * spent.length)],
+        1000 * (times.length - 1) / (times[times.length - 1] - times[0])];
+"""
+CLOSE = "byId('loads').click(); byId('reset').click(); byId('forth').click()"
+SECONDS = 5.0  # that each is watched
+
+
+def frames(_):
+    """Return the table of frames in the browsers that are installed, none is shown."""
+    rows = []
+    with tempfile.TemporaryDirectory() as folder:
+        page = export_web({'paper': 'paper'}, Path(folder, 'arm.html'))
+        page.write_text(page.read_text().replace('<head>', f'<head>{FIRST}'))
+        for name in BROWSERS:
+            if missing(name):
+                continue
+            found = []
+            with opened(name, Path(folder, name)) as window:
+                for paint in False, True:
+                    window.open(page)
+                    first = window.until('return window.first')
+                    window.run(CLOSE)
+                    time.sleep(11.0)  # the curves are full
+                    window.run(WATCH, paint)
+                    time.sleep(SECONDS)
+                    found += [first, *window.run(READ)]
+            first, script, _, rate, _, painted, most, _ = found
+            rows.append((name, f'{first / 1e3:.2f} s', f'{rate:.0f}', f'{script:.1f} ms',
+                         f'{painted:.1f} ms', f'{most:.1f} ms'))
+    return table(['browser', 'first picture', 'frames a second', 'script of a frame',
+                  'and its picture', '95 % of them below'], rows)
+
+
 def sizes(_):
     """Return the table of the sizes of pages."""
     rows = []
@@ -73,25 +130,37 @@ def sizes(_):
     return table(['scenes', 'estimate', 'size'], rows)
 
 
+WEB = ['export-web', 'paper']
+
+
 def exports(_):
     """Return the table of the processor time of exports, each in a process of its own."""
     rows = []
-    with tempfile.TemporaryDirectory() as folder:
-        environment = {**os.environ, 'NUMBA_CACHE_DIR': folder}
-        for line, target in (
-                ('a kind of arm that is new', 'riscv64'), ('then another target', 'aarch64'),
-                ('the same again', 'aarch64')):
+    with tempfile.TemporaryDirectory() as folder, tempfile.TemporaryDirectory() as out:
+        for line, kept, command in (
+                ('`export-web`, a clone, nothing compiled', 'none', WEB),
+                ('`export-web`, new to an installed package', '[!t]*.bc', WEB),
+                ('`export-web`, the same again', '*', WEB),
+                ('`export-c`, new to an installed package', '[!t]*.bc', ['export-c', 'paper']),
+                ('`export-c`, then another target', '*', [
+                    'export-c', 'paper', '--target', 'aarch64']),
+                ('`export-c`, the same again', '*', [
+                    'export-c', 'paper', '--target', 'aarch64'])):
+            for file in {*Path(folder).glob('*/*')} - {*Path(folder).glob(f'*/{kept}')}:
+                file.unlink()
             before = resource.getrusage(resource.RUSAGE_CHILDREN).ru_utime
-            subprocess.run([sys.executable, '-m', 'timo_sim', 'export-c', 'paper', '-o',
-                            Path(folder, 'arm'), '--target', target], env=environment, check=True,
+            subprocess.run([sys.executable, '-m', 'timo_sim', *command, '-o',
+                            Path(out, command[0])],
+                           env={**os.environ, 'NUMBA_CACHE_DIR': folder}, check=True,
                            capture_output=True)
             spent = resource.getrusage(resource.RUSAGE_CHILDREN).ru_utime - before
-            rows.append((f'`export-c`, {line}', f'{spent:.1f} s'))
+            rows.append((line, f'{spent:.1f} s'))
     return table(['', 'processor time'], rows)
 
 
 if __name__ == '__main__':
     version = subprocess.run(['node', '--version'], capture_output=True, text=True).stdout.strip()
-    make_page(__spec__, __doc__, 'web.md', {'Speed': steps, 'Size': sizes, 'Export': exports},
-              node=lambda: version, calibrating_product=lambda: (
+    make_page(__spec__, __doc__, 'web.md', {
+        'Speed': steps, 'Frames': frames, 'Size': sizes, 'Export': exports},
+        node=lambda: version, calibrating_product=lambda: (
                   f'{1e9 * min(product() for _ in range(200)):.0f} ns'))
