@@ -118,6 +118,21 @@ def test_records_share_the_physics_and_have_states_and_biases_of_their_own():
     assert found.more[1].errors['shaft'].hold_out_r_squared > 0.999
 
 
+def test_an_offset_of_an_input_is_the_drives_in_all_records():
+    """An amplifier keeps its offset, and a record that is held out is predicted with it."""
+    records = []
+    for seed, torque in ((1, SQUARE), (2, CHIRP), (3, SQUARE[::-1])):
+        pushed = made(torque + 0.03, seed)
+        records.append(timo_sim.Record.of({'torque': (T, torque)}, {
+            name: (T, channel.values) for name, channel in pushed.outputs.items()}))
+    found = timo_sim.fit(wrong(1.1, 0.9, 1.1, 0.9), records[:2], [*TRUTH, 'torque.bias'],
+                         hold_out_records=records[2:], quick=True)
+    assert [name for name in found.estimates if 'bias' in name] == ['torque.bias']
+    assert distances(found, {**TRUTH, 'torque.bias': 0.03}).max() < 4.0
+    assert [each.hold_out_rms for each in found.more[1].errors.values()] == pytest.approx(
+        list(NOISE.values()), rel=0.1)
+
+
 def test_a_delay_is_the_sensors_in_all_records():
     """The samples of the second record are twice as far apart; the third is predicted."""
     delay = 5 * PERIOD

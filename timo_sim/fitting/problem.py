@@ -64,8 +64,9 @@ class Free:
 
     @property
     def is_own(self) -> bool:
-        """Whether each of several records has a value of its own."""
-        return self.name.startswith(INITIAL) or '.bias' in self.name
+        """Whether each of several records has a value of its own, as a sensor has that drifts."""
+        quantity, _, kind = self.name.partition('.')
+        return quantity == INITIAL or kind.startswith('bias') and quantity in (*OUTPUTS, DRIVE)
 
     def coordinate(self, value: float) -> float:
         """Return the coordinate of the fit for a value."""

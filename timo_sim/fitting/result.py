@@ -332,7 +332,7 @@ def fit(scene: SceneLike | None, record: RecordLike | Sequence[RecordLike],
         Its values of the free parameters are first guesses. None: the scene of a log of the node.
     record : Record, str or Path, or a list of them
         A Record; a log or bag of the node; or a table: CSV or other text, Parquet, MAT. Several
-        share parameters, but for biases, an initial state and deviations of sensors.
+        share parameters, but for biases and deviations of sensors and an initial state.
     free : sequence of str
         Names of parameters of the scene that are numbers, with [k] for an element of a list;
         QUANTITY.gain, .bias, .delay or .lag of an input or output of the record, such as
@@ -352,7 +352,7 @@ def fit(scene: SceneLike | None, record: RecordLike | Sequence[RecordLike],
     starts : int, optional
         The scene's values, and points around them; by default up to 16, until one is good.
     hold_out_records : list of Record, str or Path
-        They are predicted, not fitted, without biases and with the scene's initial state.
+        They are predicted, not fitted, with the scene's initial state and no bias of a sensor.
     tell : function(str), optional
         Is called with the time that the fit may take, each start, and each further phase.
     quick : bool
