@@ -18,6 +18,7 @@ from timo_sim.fitting.record import Channel, OUTPUTS
 from timo_sim.fitting.problem import covariance, loads_of, Problem, whiteness
 from timo_sim.fitting.search import Search
 from timo_sim.model.layout import AFTER, TORQUE
+from timo_sim.runs.run import run_scene
 
 ARM = {'carrier.held': 'both', 'arm.length': 0.42, 'arm.section.height': 0.001,
        'arm.section.width': 0.02,
@@ -193,6 +194,10 @@ def test_steep_friction_is_found_with_shorter_steps():
     assert found.values['motor.coulomb_friction'] == pytest.approx(0.1, rel=2e-3)
     assert found.values['motor.coulomb_speed'] == pytest.approx(0.01, rel=0.1)
     assert found.scene.step < 0.002 and timo_sim.simulate(found.scene, 0.1).scene == found.scene
+    # Of these steps the fit looks at those that the scene has.
+    every = run_scene(found.run.scene, round(T[-1] / found.scene.step))
+    assert found.run.t == pytest.approx(T)
+    assert np.array_equal(found.run.values, every.values[::round(0.002 / found.scene.step)])
 
 
 def test_sensors_are_fitted():

@@ -396,7 +396,10 @@ class Problem:
         duration = min(end, self.record.duration) + self._early(values)
         with warnings.catch_warnings():
             warnings.simplefilter('ignore', ModelWarning)
-            return run_scene(scene, max(1, math.ceil(duration / scene.step - _AT_STEP)))
+            # Steps that friction makes short are not all shown: outputs take as long as steps.
+            parts = max(1, round(self.scene.step / scene.step))
+            steps = math.ceil(duration / (parts * scene.step) - _AT_STEP)
+            return run_scene(scene, parts * max(1, steps), parts)
 
     def _loads_for(self, scene, values):
         """Return `loads_of` values; most of these do not change them."""
@@ -419,8 +422,8 @@ class Problem:
                 for name, channel in self.record.outputs.items()}
 
     def _outputs_of(self, run):
-        """Return the step of a Run, and outputs at all steps by name."""
-        return run.scene.step, {name: OUTPUTS[name].of_run(run) for name in self.record.outputs}
+        """Return the time between samples of a Run, and outputs at all of these by name."""
+        return float(run.t[1]), {name: OUTPUTS[name].of_run(run) for name in self.record.outputs}
 
     def _shown_by(self, values, end):
         """Return `_outputs_of` values; some are kept, which differ in those of sensors alone."""
