@@ -12,7 +12,7 @@ import pytest
 from scipy.optimize import brentq, minimize_scalar
 
 import timo_sim
-from timo_sim.fitting import auto
+from timo_sim.fitting import auto, suspects
 from timo_sim.fitting.look import look, turned
 from timo_sim.fitting.objective import Objective
 from timo_sim.fitting.problem import Problem, TimeIsUp
@@ -239,11 +239,12 @@ def test_the_effects_of_an_arm_are_chosen(made, kept):
     assert all(line in found.report() for line in found.ladder)
 
 
-@pytest.mark.parametrize('stops', [True, False])
+@pytest.mark.parametrize('stops', ['trials', 'search', ''])
 def test_an_effect_whose_fit_is_not_better_goes_and_one_that_was_tried_when_time_is_up_stays(
         stops, monkeypatch):
-    """Either the second search is stopped, or what it finds predicts far worse."""
+    """Trials are stopped after its own, or the search after them; or that predicts far worse."""
     dry, calls = {'motor.coulomb_friction': 0.06, 'motor.coulomb_speed': 0.2, 'model.modes': 0}, []
+    tried = []
 
     def settle(search, *arguments, settle=Search.settle, **options):
         calls.append(None)
@@ -255,13 +256,20 @@ def test_an_effect_whose_fit_is_not_better_goes_and_one_that_was_tried_when_time
         found = predict(*arguments)
         return found._replace(errors=found.errors + 9.0 * (len(calls) == 2))
 
+    def try_it(objective, x, effect, sizes, predict=suspects.predict):
+        if stops == 'trials' and 'presliding' in str(tried) and 'presliding' not in effect.name:
+            raise TimeIsUp('its time was up')
+        tried.append(effect.name)
+        return predict(objective, x, effect, sizes)
+
     monkeypatch.setattr(Search, 'settle', settle)
+    monkeypatch.setattr(suspects, 'predict', try_it)
     monkeypatch.setattr(auto, 'predict', predict)
     found = fit(record({**dry, 'motor.coulomb_presliding': 0.02, 'motor.coulomb_static': 0.6})
                 .select('shaft'), ['motor.shaft_inertia', 'motor.coulomb_friction'], more=dry,
                 auto=True, quick=True)
     name = 'presliding of the motor, which rests as on a spring: '
-    assert bool(found.scene.values['motor.coulomb_presliding']) == stops
+    assert bool(found.scene.values['motor.coulomb_presliding']) == bool(stops)
     assert any(line.startswith(name + 'taken' if stops else f'    {name}')
                for line in found.ladder[-2:])
 

@@ -46,7 +46,7 @@ NUMERICAL = 1e-9  # 1 - R^2 below which only numerical errors are left
 _HARDLY_WHITE = 1e-6  # probability of residuals as correlated, above which a minimum is good
 # 1 - R^2 above which other starts are tried, if one, two or three starts have led to a minimum.
 _MAX_UNEXPLAINED = 0.05, 0.2, 0.5, math.inf
-_MAX_STARTS, _FEW_STARTS = 16, 4
+_MAX_STARTS, _FEW_STARTS = 16, 2
 _NEAR = 0.1  # distance in coordinates of the fit within which two ends are one
 _SPREAD = 6.0  # factor by which starts differ from the first guess
 INTERRUPTED = 'it was interrupted'

@@ -22,7 +22,7 @@ import numpy as np
 from scipy.optimize import least_squares
 
 from timo_sim.fitting.objective import DIVERGED, Objective, times_of_motion
-from timo_sim.fitting.problem import free_parameters, kinds_of, Problem
+from timo_sim.fitting.problem import free_parameters, kinds_of, Problem, TimeIsUp
 from timo_sim.fitting.record import DRIVE
 from timo_sim.model.layout import INPUTS
 from timo_sim.scene.numbers import INITIAL, initial_scale
@@ -31,7 +31,8 @@ from timo_sim.topics.commands import JOINTS
 
 _FRICTION = 0.01, 0.1, 1.0  # sizes that are tried, of the force that accelerates the free body
 _ASYMMETRY, _MOST = 0.2, 0.99
-_PRESLIDING, _LEAST = (0.02, 0.2), 0.1  # way over `coulomb_speed` [s], and least factor of it
+_PRESLIDING, _LEAST = (0.005, 0.05), 0.1  # ways, of the spread of a motion, and their least factor
+_HOLDS = 0.3  # `coulomb_static` that is tried: from more, fits end where the joint hardly rests
 _BACKLASH = 0.003, 0.01, 0.03  # [rad]
 _GRAVITY = 0.5, 5.0  # [m/s2]
 _DELAYS = 1, 5  # steps
@@ -132,7 +133,8 @@ def suspects(objective: Objective, x: np.ndarray, jacobian: np.ndarray,
                 share = float(1.0 - (rest @ rest) / (left @ left)) if possible else 0.0
                 of_trials.append((share, effect, np.append(
                     np.maximum(factors, effect.low) * sizes, effect.shape)))
-        tried += sorted(of_trials, key=lambda each: -each[0])[:1]
+        # The first order does not tell the size of what bends and has a shape, as presliding.
+        tried += sorted(of_trials, key=lambda each: -each[0])[:2 if len(effect.shape) else 1]
     tried.sort(key=lambda each: -each[0])
     own = {**problem.scene.values, **objective.values(x, 0)}
     # Of held values that explain about as much, as a length and a stiffness do, a few are fitted.
@@ -147,15 +149,22 @@ def suspects(objective: Objective, x: np.ndarray, jacobian: np.ndarray,
         worth &= effect.width == math.inf or effect in likely
         ratio, end = math.inf, None
         if worth:
-            plain = plain or predict(objective, x)
-            with_it = predict(objective, x, effect, sizes)
+            try:
+                plain = plain or predict(objective, x)
+                with_it = predict(objective, x, effect, sizes)
+            except TimeIsUp:
+                if not most or all(each.ratio >= BETTER for each in found):
+                    raise
+                break  # what was better until then is better than nothing
             rise, sizes, end = with_it.errors - plain.errors, with_it.sizes, with_it.x
             # What betters some at the cost of another betters nothing.
             ratio = math.exp(np.mean(rise) if max(rise) < -math.log(BETTER) else max(rise))
             share = max(0.0, 1.0 - ratio**2)
         found.append(Suspect(effect.name, share, effect.advice(own, sizes), ratio=ratio,
                              effect=effect, sizes=sizes, x=end))
-    return sorted((each for each in found if each.share), key=lambda each: -each.share)
+    best = {each.name: each for each in sorted(
+        found, key=lambda each: (-each.ratio, each.share)) if each.share}
+    return sorted(best.values(), key=lambda each: -each.share)
 
 
 def moves_one_way(problem):
@@ -220,8 +229,9 @@ def _effects(objective: Objective, x: np.ndarray) -> Iterator[_Effect]:
     speeds, accelerations = (np.sqrt(np.mean(each**2, axis=0)) for each in (
         rates, np.gradient(rates, step, axis=0)))
     forces = np.diag(run.model.mass_matrix(run.values[0])[0])[:3] * accelerations
-    for body, force, speed in (('carrier', forces[:2].max(), speeds[:2].max()),
-                               ('motor', forces[2], speeds[2])):
+    for body, force, speed, spread in (
+            ('carrier', forces[:2].max(), speeds[:2].max(), run.carrier.std(axis=0).max()),
+            ('motor', forces[2], speeds[2], run.shaft.std())):
         name, rest = f'{body}.coulomb_friction', f'{body}.coulomb_speed'
         if force and not own[name]:
             yield _Effect(f'dry friction of the {body}', [name],
@@ -235,8 +245,8 @@ def _effects(objective: Objective, x: np.ndarray) -> Iterator[_Effect]:
         if own[name] and own[rest] and not own[way := f'{body}.coulomb_presliding']:
             yield _Effect(
                 f'presliding of the {body}, which rests as on a spring',
-                [way, f'{body}.coulomb_static'], [[part * own[rest]] for part in _PRESLIDING],
-                _LEAST, shape=[0.5], bends=True)
+                [way, f'{body}.coulomb_static'], [[part * spread] for part in _PRESLIDING],
+                _LEAST, shape=[_HOLDS], bends=True)
     for name in (name for name in PARAMETERS if name.endswith('.coulomb_asymmetry')):
         if own[name.replace('asymmetry', 'friction')] and not own[name]:
             yield _Effect(
