@@ -10,6 +10,7 @@ import shutil
 import socket
 import subprocess
 import time
+from typing import Any
 from urllib.error import HTTPError, URLError
 from urllib.request import Request, urlopen
 
@@ -21,8 +22,9 @@ BROWSERS = {
     'firefox': ('geckodriver', 'moz:firefoxOptions', ['-headless'])}
 BROWSERS['google-chrome'] = BROWSERS['chromium']
 # Options by which a browser prefers dark pages.
-_DARK = {'chromium': {'args': ['--blink-settings=preferredColorScheme=0']},
-         'firefox': {'prefs': {'layout.css.prefers-color-scheme.content-override': 0}}}
+_DARK: dict[str, dict[str, Any]] = {
+    'chromium': {'args': ['--blink-settings=preferredColorScheme=0']},
+    'firefox': {'prefs': {'layout.css.prefers-color-scheme.content-override': 0}}}
 _DARK['google-chrome'] = _DARK['chromium']
 
 
