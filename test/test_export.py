@@ -259,7 +259,7 @@ def test_other_processors_differ_by_round_off(tmp_path):
     ('aarch64', 'five modes, a static shape, push, an axial mode slowed down', False),
     ('riscv64', 'held', False)])
 def test_an_emulated_processor_differs_by_round_off(other, name, estimate, tmp_path):
-    """All outputs, 4 N m at the shaft for 0.2 s; accelerations are differences, good to 1e-8."""
+    """All outputs, 4 N m at the shaft for 1000 steps; tiny rates and accelerations to 1e-6."""
     cross, qemu, number = CROSS[other]
     scene, found = scene_of({**SCENES[name], 'sensor.encoder.noise': 0.1}), []
     torque = [each.column for each in interface_of(scene, False).inputs].index(TORQUE)
@@ -273,12 +273,12 @@ def test_an_emulated_processor_differs_by_round_off(other, name, estimate, tmp_p
             if not cross or not qemu:
                 pytest.skip(f'needs qemu-user and gcc-{other}-linux-gnu')
         found.append(run_program(compile_program(RUN, folder, *options, cc=cc), [
-            f'i {torque} 4', *20 * ['s 10', 'o']], *emulator))
+            f'i {torque} 4', *20 * ['s 50', 'o']], *emulator))
     here, there = np.array(found)
     scale = np.maximum(np.abs(here).max(axis=0), 1e-9)  # some are zero
     assert np.ptp(here, axis=0).max() > 0.1 and np.isfinite(there).all()
     difference = np.abs(there - here).max(axis=0) / scale
-    assert difference.max() < 1e-7 and difference[:15].max() < 1e-12
+    assert difference.max() < 1e-6 and difference[:15].max() < 1e-12
 
 
 def test_saved_state_goes_on_to_the_bit(tmp_path):
