@@ -11,6 +11,7 @@ tools, or are on impossible paths.
 
 from concurrent.futures import ThreadPoolExecutor
 from contextlib import contextmanager
+from functools import partial
 import os
 from pathlib import Path
 import random
@@ -82,26 +83,25 @@ def small_disk(folder, size):
 
 
 @contextmanager
-def _listening():
-    """Yield listen(namespace), which returns a function: the latest sim time heard there [s]."""
+def _listening(names):
+    """Yield the latest sim times that are heard in namespaces, a dict [s]."""
     os.environ.update(ON_THE_WIRE)
     import rclpy
     from rclpy.executors import SingleThreadedExecutor
     from sensor_msgs.msg import JointState
     rclpy.init()
     node, executor = rclpy.create_node('listener'), SingleThreadedExecutor()
-    executor.add_node(node)
     heard = {}
 
-    def listen(name):
-        def hear(state):
-            heard[name] = state.header.stamp.sec + 1e-9 * state.header.stamp.nanosec
-        node.create_subscription(JointState, f'/{name}/joint_states', hear, 100)
-        return lambda: heard.get(name)
+    def hear(name, state):
+        heard[name] = state.header.stamp.sec + 1e-9 * state.header.stamp.nanosec
 
+    for name in names:  # before the executor spins, which may wait for them for ever
+        node.create_subscription(JointState, f'/{name}/joint_states', partial(hear, name), 100)
+    executor.add_node(node)
     with ThreadPoolExecutor(1) as thread:
         spinning = thread.submit(executor.spin)
-        yield listen
+        yield heard
         executor.shutdown()
         spinning.result()
     node.destroy_node()
@@ -116,28 +116,28 @@ def kills(count, generator):
 
     def kill(number):
         name = f'n{number}'
-        path, heard = Path(folder) / f'{name}.mcap', listen(name)
+        path = Path(folder) / f'{name}.mcap'
         command = [sys.executable, '-m', 'timo_sim.cli.sim_node', *arguments(
             rate=100.0, record=True, record_file=str(path)), '-r', f'__ns:=/{name}']
         with subprocess.Popen(command, env=ON_THE_WIRE, cwd=folder, stdout=subprocess.DEVNULL,
                               stderr=subprocess.DEVNULL) as process:
             end = time.monotonic() + PATIENCE
-            while number % 5 and heard() is None and time.monotonic() < end:
+            while number % 5 and name not in heard and time.monotonic() < end:
                 time.sleep(0.01)
             time.sleep(moments[number])
             process.kill()
         time.sleep(0.2)  # for messages under way
-        return number, path, heard()
+        return number, path, heard.get(name)
 
-    with TemporaryDirectory() as folder, _listening() as listen:
+    with TemporaryDirectory() as folder, _listening(map('n{}'.format, range(count))) as heard:
         with ThreadPoolExecutor(NODES) as pool:
-            for number, path, heard in pool.map(kill, range(count)):
+            for number, path, last in pool.map(kill, range(count)):
                 with tally.trial(f'after {moments[number]:.3f} s'):
                     latest = _latest(path)
                     early += latest is None
-                    if heard is not None:
-                        ensure(latest is not None, f'heard until {heard} s, no log')
-                        lost.append(heard - latest)
+                    if last is not None:
+                        ensure(latest is not None, f'heard until {last} s, no log')
+                        lost.append(last - latest)
                         ensure(lost[-1] < MOST_LOST, f'{lost[-1]:.3f} s were lost')
     return tally.row(f'at most {max(lost):.2f} s lost; {early} before there was a log')
 
