@@ -298,7 +298,7 @@ BAD_MAPPINGS = [
     ({'columns': {}}, 'columns must say which columns'),
     ({'time': {}}, 'time must have a column or a period'),
     ({'time': {'column': 'clock', 'unit': 'h'}}, 'time: unit must be one of s, ms, us, ns'),
-    ({'colums': {}}, 'colums is not known, .*did you mean columns'),
+    ({'colums': {}}, 'colums is not known: .*did you mean columns'),
     ({'time': 't'}, 't is no column of the table; it has clock, hub, u'),
     ({'time': 0.5}, 'time must have some of column, unit, file, period, got 0.5'),
     ({'time': {'column': 'clock', 'file': 5}}, 'file must be a text, got 5'),

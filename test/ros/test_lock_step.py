@@ -220,7 +220,7 @@ def test_a_wait_ends_after_its_time_and_is_counted(start, client):
         return begun
     client.wait(begins, 'the run')
     code, output = node.wait()
-    assert code == 0 and output.count('copies that of joint_states') == 1
+    assert code == 0 and output.count('copy the stamp of joint_states') == 1
     summary = Recording(node.log).summary
     assert 1 <= summary['missed_commands'] <= 9
     shown = '\n'.join(info(node.log))
