@@ -272,6 +272,7 @@ def test_an_effect_whose_fit_is_not_better_goes_and_one_that_was_tried_when_time
     assert bool(found.scene.values['motor.coulomb_presliding']) == bool(stops)
     assert any(line.startswith(name + 'taken' if stops else f'    {name}')
                for line in found.ladder[-2:])
+    assert stops or found.ladder[-1].startswith('an elastic gear: ')  # which is the next best
 
 
 def test_no_interval_is_printed_where_the_model_lacks_much():

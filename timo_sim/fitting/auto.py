@@ -16,7 +16,7 @@ from timo_sim.fitting.objective import Objective
 from timo_sim.fitting.problem import Free, split_guess, TimeIsUp, vary
 from timo_sim.fitting.record import DRIVE, Record
 from timo_sim.fitting.search import INTERRUPTED, Search
-from timo_sim.fitting.suspects import BETTER, MOVING, predict, suspects
+from timo_sim.fitting.suspects import BETTER, MOVING, predict, Suspect, suspects
 from timo_sim.scene.bodies import motor_constants
 from timo_sim.scene.numbers import overrides_of
 from timo_sim.scene.parameters import ParameterError
@@ -78,15 +78,33 @@ def plain(scene: Scene, record: Record) -> tuple[Scene, list[str]]:
     return scene.vary(changes), free
 
 
+def _with(suspect, choice):
+    """Return a Choice with one more effect, from the values of its trial."""
+    own, names = choice.scene.values, [split_guess(each)[0] for each in choice.free]
+    values = dict(zip(choice.values, map(Free.value, choice.weighs.free, suspect.x)))
+    changes: dict[str, Any] = suspect.effect.changes({**own, **values}, *suspect.sizes)
+    moved = 'motor.rotor.inertia' in changes
+    return choice._replace(
+        values={**values, **changes},
+        scene=vary(choice.scene, overrides_of({
+            name: value for name, value in changes.items() if name.partition('[')[0] in own},
+            choice.scene)),
+        free=[name.replace('motor.', 'motor.rotor.')
+              if moved and name.startswith('motor.coulomb_') else each
+              for name, each in zip(names, choice.free)] + [
+                  name for name in suspect.effect.free if name not in names])
+
+
 def choose(scene: Scene, free: list[str], objective_of: Callable[[Scene, list[str]], Objective],
            say: Callable[[str], object], keep: Callable[[Scene, str], object],
            deadline: float, starts: int | None = None) -> Choice:
     """
     Return the Choice of effects with which the end of what is fitted is predicted best.
 
+    If the fit with an effect predicts worse than its trial let hope, the next one is tried.
     `keep` is called with each scene that is the best so far, and the values found.
     """
-    best, line = Choice(scene, free, {}, []), ''
+    best, line, waiting = Choice(scene, free, {}, []), '', list[Suspect]()
     search, sure, least = Search(objective_of(scene, free)), best, math.inf
     try:
         while True:
@@ -95,43 +113,36 @@ def choose(scene: Scene, free: list[str], objective_of: Callable[[Scene, list[st
             search = Search(objective, first=best.values)
             search.set_deadline(deadline)
             x = search.settle(starts, anew=not line)
-            values = {free.name: free.value(at) for free, at in zip(objective.free, x)}
             predicted = predict(objective, x)
             error = math.exp(np.mean(predicted.errors))
-            ladder = [*best.ladder, f'{line or "the plain arm"}: {error:.2%}']
-            say(f'error of the end of what is fitted, which was held out, {ladder[-1]}')
-            if not error < BETTER * least:  # than without it, however good its trial was
-                return sure._replace(ladder=[*best.ladder, f'    {line}: {error:.2%}'])
-            best, least = Choice(
-                objective.problems[0].scene_of(objective.values(x, 0)),
-                [*{each.name: each.text for problem in objective.problems
-                   for each in problem.free}.values()], values, ladder, objective), error
-            sure = best  # if a fit with an effect is not possible
-            keep(best.scene, str(values))
-            own = {**best.scene.values, **values}
-            found = [each for each in suspects(  # an effect may vanish as it is fitted
-                objective, x, *search.weighted(x), _SUSPECTS, predicted)
-                if each.ratio < math.inf and each.effect.changes(own, *each.sizes)]
-            tried = [f'    with {each.name}: {each.ratio * error:.2%}' for each in found]
-            say('\n'.join(['tried', *tried]))
-            best = sure = best._replace(ladder=[*ladder, *tried])
-            first = min(found, key=lambda each: each.ratio, default=None)
-            # What is further off than the mean predicts nothing, however much better it is.
-            if first is None or not first.ratio < min(BETTER, 1.0 / error):
-                return best
-            line = first.name
-            values |= zip(values, map(Free.value, objective.free, first.x))
-            changes: dict[str, Any] = first.effect.changes({**own, **values}, *first.sizes)
-            scene = vary(best.scene, overrides_of({
-                name: value for name, value in changes.items()
-                if name.partition('[')[0] in own}, best.scene))
-            moved = 'motor.rotor.inertia' in changes
-            names = [split_guess(each)[0] for each in best.free]
-            best = best._replace(scene=scene, values={**values, **changes}, free=[
-                name.replace('motor.', 'motor.rotor.')
-                if moved and name.startswith('motor.coulomb_') else each
-                for name, each in zip(names, best.free)] + [
-                    name for name in first.effect.free if name not in names])
+            line = f'{line or "the plain arm"}: {error:.2%}'
+            say(f'error of the end of what is fitted, which was held out, {line}')
+            if error < BETTER * least:  # than without it, however good its trial was
+                values = {free.name: free.value(at) for free, at in zip(objective.free, x)}
+                sure, least = Choice(  # if a fit with an effect is not possible
+                    objective.problems[0].scene_of(objective.values(x, 0)),
+                    [*{each.name: each.text for problem in objective.problems
+                       for each in problem.free}.values()], values, [*best.ladder, line],
+                    objective), error
+                best = sure
+                keep(sure.scene, str(values))
+                own = {**sure.scene.values, **values}
+                found = [each for each in suspects(  # an effect may vanish as it is fitted
+                    objective, x, *search.weighted(x), _SUSPECTS, predicted)
+                    if each.ratio < math.inf and each.effect.changes(own, *each.sizes)]
+                tried = [f'    with {each.name}: {each.ratio * error:.2%}' for each in found]
+                say('\n'.join(['tried', *tried]))
+                sure = sure._replace(ladder=[*sure.ladder, *tried])
+                # What is further off than the mean predicts nothing, however much better it is.
+                waiting = sorted((each for each in found if each.ratio < min(BETTER, 1.0 / error)),
+                                 key=lambda each: -each.ratio)
+            else:
+                sure = sure._replace(ladder=[*sure.ladder, f'    {line}'])
+            best = sure
+            if not waiting:
+                return sure
+            line = waiting[-1].name
+            best = _with(waiting.pop(), sure)
     except KeyboardInterrupt as stop:
         reason = str(stop) or INTERRUPTED
         if best is not sure:  # it was better where it was tried
