@@ -101,7 +101,7 @@ def choose(scene: Scene, free: list[str], objective_of: Callable[[Scene, list[st
     """
     Return the Choice of effects with which the end of what is fitted is predicted best.
 
-    If the fit with an effect predicts worse than its trial let hope, the next one is tried.
+    If the fit with an effect is not a tenth better, as its trial was, the next best is tried.
     `keep` is called with each scene that is the best so far, and the values found.
     """
     best, line, waiting = Choice(scene, free, {}, []), '', list[Suspect]()
