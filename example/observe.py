@@ -10,6 +10,7 @@ the same stamp.
 """
 
 import argparse
+import signal
 
 from geometry_msgs.msg import Vector3, Vector3Stamped
 import rclpy
@@ -93,11 +94,13 @@ def main():
     """Read the arguments, and observe until Ctrl-C."""
     parser = argparse.ArgumentParser(description=__doc__)
     parser.add_argument('scene', help='parameter file of the arm, with noise of its sensors')
+    # Ctrl-C ends `spin` through rclpy; a KeyboardInterrupt within it may become another error.
+    signal.signal(signal.SIGINT, signal.SIG_IGN)
     rclpy.init()
     node = Observe(timo_sim.load_scene(parser.parse_args().scene))
     try:
         rclpy.spin(node)
-    except (KeyboardInterrupt, ExternalShutdownException):
+    except ExternalShutdownException:
         pass
     finally:
         node.destroy_node()
