@@ -11,11 +11,12 @@ the same stamp.
 
 import argparse
 import signal
+from threading import Event
 
 from geometry_msgs.msg import Vector3, Vector3Stamped
 import rclpy
-from rclpy.executors import ExternalShutdownException
 from rclpy.node import Node
+from rclpy.signals import SignalHandlerOptions
 from sensor_msgs.msg import JointState
 
 import timo_sim
@@ -94,17 +95,15 @@ def main():
     """Read the arguments, and observe until Ctrl-C."""
     parser = argparse.ArgumentParser(description=__doc__)
     parser.add_argument('scene', help='parameter file of the arm, with noise of its sensors')
-    # Ctrl-C ends `spin` through rclpy; a KeyboardInterrupt within it may become another error.
-    signal.signal(signal.SIGINT, signal.SIG_IGN)
-    rclpy.init()
+    # Ctrl-C ends the loop between two callbacks; rclpy's handler would end the context within one.
+    rclpy.init(signal_handler_options=SignalHandlerOptions.NO)
+    ended = Event()
+    signal.signal(signal.SIGINT, lambda number, frame: ended.set())
     node = Observe(timo_sim.load_scene(parser.parse_args().scene))
-    try:
-        rclpy.spin(node)
-    except ExternalShutdownException:
-        pass
-    finally:
-        node.destroy_node()
-        rclpy.try_shutdown()
+    while not ended.is_set():
+        rclpy.spin_once(node, timeout_sec=0.1)
+    node.destroy_node()
+    rclpy.shutdown()
 
 
 if __name__ == '__main__':
