@@ -30,7 +30,7 @@ def product_by(factor):
         return factor * number
 
     with pytest.MonkeyPatch.context() as patch:
-        patch.setattr(machine, '_ADDRESSES', {})
+        patch.setattr(machine, 'ADDRESSES', {})
         patch.setattr(machine, '_engine', functools.cache(machine._engine.__wrapped__))
         return EntryPoint(product, {'number': int})(1)
 

@@ -306,7 +306,7 @@ from timo_sim.ros.node import SimNode
 rclpy.init()
 node = SimNode(None)
 node.open()
-loaded, opened = {*machine._ADDRESSES}, []
+loaded, opened = {*machine.ADDRESSES}, []
 sys.addaudithook(lambda event, given: event in ('open', 'import') and opened.append(given))
 torque = [f'load.tip_torque.harmonic.{name}' for name in ('amplitude', 'frequency', 'phase')]
 for values in ({'end_effector.mass': 0.0, 'end_effector.inertia': 0.0},
@@ -314,7 +314,7 @@ for values in ({'end_effector.mass': 0.0, 'end_effector.inertia': 0.0},
     assert node.set_parameters_atomically(
         [Parameter(name, value=value) for name, value in values.items()]).successful
 node.reset()
-os._exit(opened != [] or {*machine._ADDRESSES} != loaded)
+os._exit(opened != [] or {*machine.ADDRESSES} != loaded)
 """
 
 

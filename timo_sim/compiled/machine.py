@@ -168,12 +168,14 @@ def module_for_target(entry: Any, constants: tuple[Any, ...], target: str, name:
                       compact: bool) -> Any:
     """Return the module of `specialise` for some constants' sizes; the store keeps it."""
     kinds, symbols = tuple(each.kind for each in constants), symbols_of(constants)
-    code = store.read_or_make(
-        f'{_digest(entry, kinds, symbols, target)}-{name}.bc', lambda: specialise(
-            intermediate_code(entry, kinds), symbols, target_machine(target), name,
-            compact=compact).as_bitcode())
+    own = _digest(entry, kinds, symbols, target)
+    code = store.read_or_make(f'{own}{"-compact" * compact}.bc', lambda: specialise(
+        intermediate_code(entry, kinds), symbols, target_machine(target), own,
+        compact=compact).as_bitcode())
     _initialise()
-    return llvm.parse_bitcode(code)
+    module = llvm.parse_bitcode(code)
+    module.get_function(own).name = name
+    return module
 
 
 # A kernel: each of the first threads calls an entry point with its number.
@@ -228,11 +230,6 @@ def _digest(entry, kinds, symbols, target):
     return f'timo_{hashlib.sha256(key.encode()).hexdigest()[:24]}'
 
 
-def object_code(code: bytes, symbols: dict[str, int], machine: Any, name: str) -> bytes:
-    """Return an object file of intermediate code for given sizes, see `specialise`."""
-    return machine.emit_object(specialise(code, symbols, machine, name))
-
-
 def _optimise(module, machine, compact):
     # Vectors are written in the source. Those that LLVM would make of the short loops that are
     # left are slower, and take longer to make.
@@ -261,7 +258,7 @@ def _engine():
     return llvm.create_mcjit_compiler(llvm.parse_assembly(''), _loading_machine())
 
 
-_ADDRESSES: dict[str, int] = {}
+ADDRESSES: dict[str, int] = {}  # of the machine code that is loaded, by the stems of its files
 
 
 def load(entry: Any, constants: tuple[Any, ...], any_size: bool = False) -> int:
@@ -276,18 +273,13 @@ def load(entry: Any, constants: tuple[Any, ...], any_size: bool = False) -> int:
         symbols = dict.fromkeys(sorted(symbols))
     name = _digest(entry, kinds, symbols, 'host')
     with _LOCK:
-        if name not in _ADDRESSES:
+        if name not in ADDRESSES:
             data = store.read_or_make(
                 f'{name}.o', lambda: _compile(entry, kinds, symbols, name))
             _engine().add_object_file(llvm.ObjectFileRef.from_data(data))
             _engine().finalize_object()
-            _ADDRESSES[name] = _engine().get_function_address(name)
-        return _ADDRESSES[name]
-
-
-def loaded() -> list[str]:
-    """Return the names of the files of the machine code that this process has loaded."""
-    return [f'{name}.o' for name in _ADDRESSES]
+            ADDRESSES[name] = _engine().get_function_address(name)
+        return ADDRESSES[name]
 
 
 def _compile(entry, kinds, symbols, name):
@@ -295,4 +287,6 @@ def _compile(entry, kinds, symbols, name):
     if tell:
         tell(COMPILING)
         _TELL.set(None)
-    return object_code(intermediate_code(entry, kinds), symbols, _loading_machine(), name)
+    optimised, machine = store.read(f'{name}.bc'), _loading_machine()  # that of an export
+    return machine.emit_object(llvm.parse_bitcode(optimised) if optimised else specialise(
+        intermediate_code(entry, kinds), symbols, machine, name))

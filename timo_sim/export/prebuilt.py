@@ -80,7 +80,7 @@ def compile_usual(values: dict[str, Any]) -> list[str]:
     model.rate(state, load)
     accelerations, _ = model.accelerations(*(each[np.newaxis] for each in (motion, state, load)))
     model.effort(motion[np.newaxis], accelerations, load[np.newaxis])
-    return machine.loaded()
+    return [f'{name}.o' for name in machine.ADDRESSES]
 
 
 def build(folder: str, editable: bool) -> None:

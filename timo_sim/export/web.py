@@ -122,9 +122,12 @@ def _scene(name: str, scene: Scene, estimate: bool) -> dict[str, Any]:
     interface, (tables, sliders, loops) = made.interface, _stations(scene, estimate, made)
     values, body, (along, _, meant) = scene.values, body_of(scene), (
         inaccurate(scene, 1.0, 0.0) or '').partition('1 m')
+    target = machine.target_machine(TARGET)
+    propagate = target.emit_object(machine.specialise(  # makes propagators of any size
+        machine.intermediate_code(etdrk4.propagate, ()), {}, target, 'propagate'))
     return {
         'name': name, 'step': scene.step, 'size': made.size,
-        'wasm': _deflated(link_wasm(made.content, _propagate())), 'tables': _deflated(tables),
+        'wasm': _deflated(link_wasm(made.content, propagate)), 'tables': _deflated(tables),
         'blocks': _blocks(made), 'series': etdrk4.SERIES.tolist(),
         'loads': [*_loads(made)] if scene.load and values['motor.shaft'] != 'driven' else [],
         'inputs': [[each.title, each.unit, each.meaning] for each in interface.inputs],
@@ -135,12 +138,6 @@ def _scene(name: str, scene: Scene, estimate: bool) -> dict[str, Any]:
         'free': [fixed_axes(values) not in (axis, 'both') for axis in 'xy'],
         'warning': [along, meant, MOST_APART * scene.manipulator.arm.length],
         'about': f'{name}: {repr(scene).partition(": ")[2].rpartition(", ")[0]}'}
-
-
-def _propagate():
-    """Return an object file that makes propagators, `propagate`, of any size."""
-    return machine.object_code(machine.intermediate_code(etdrk4.propagate, ()), {},
-                               machine.target_machine(TARGET), 'propagate')
 
 
 def _blocks(made):
