@@ -50,21 +50,26 @@ OF_ONE_SIZE = (
     'test_fit', 'test_gpu', 'test_hardware', 'test_peers', 'test_sweep', 'test_threads')
 
 
+# Entry points of snapshots and sensors, where the motion and the tip alone have known bits.
+OF_SNAPSHOTS = tuple(f'model.functions.{name}' for name in (
+    'accelerations_of', 'efforts', 'energies'))
+
+
 @contextmanager
-def code_for_any_size(wanted=True):
+def code_for_any_size(names=''):
     """
     Let this process run code for any size of `exact`, which is half as fast and compiled once.
 
     For a size LLVM takes longer than 50 000 steps. The two differ in round-off (test_compiled.py).
+    `names` are the begins of names of entry points, by default of all; of none if it is ().
     """
     own = EntryPoint.of
 
     def of(entry, *constants, any_size=False):
         return own(entry, *constants, any_size=any_size or (
-            bool(constants) and constants[0].kind is Tables))
+            entry.name.startswith(names) and bool(constants) and constants[0].kind is Tables))
     with pytest.MonkeyPatch.context() as patch:
-        if wanted:
-            patch.setattr(EntryPoint, 'of', of)
+        patch.setattr(EntryPoint, 'of', of)
         yield
     scene._shared_model.cache_clear()  # which have code of this kind
 
@@ -72,8 +77,8 @@ def code_for_any_size(wanted=True):
 @pytest.fixture(autouse=True, scope='module')
 def any_size(request):
     """Let most tests run code for any size."""
-    with code_for_any_size(not any(part.startswith(OF_ONE_SIZE)
-                                   for part in request.path.relative_to(ROOT).parts)):
+    with code_for_any_size(() if any(part.startswith(OF_ONE_SIZE) for part in (
+            request.path.relative_to(ROOT).parts)) else ''):
         yield
 
 

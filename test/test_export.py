@@ -13,6 +13,8 @@ import sys
 
 import numpy as np
 import pytest
+
+from conftest import code_for_any_size, OF_SNAPSHOTS
 import timo_sim
 from timo_sim.export.c import write_c
 from timo_sim.export.constants import interface_of
@@ -103,6 +105,13 @@ DIFFERENTIATED = ['held', 'locked', 'presliding behind a gear', 'sectors, sticki
 
 
 export = partial(write_c, derivatives=False)
+
+
+@pytest.fixture(autouse=True, scope='module')
+def any_size_of_snapshots(any_size):
+    """Let snapshots, whose accelerations are compared to 1e-6, run code for any size."""
+    with code_for_any_size(OF_SNAPSHOTS):
+        yield
 
 
 def scene_of(changes):
