@@ -6,7 +6,7 @@
 from __future__ import annotations
 
 from collections.abc import Collection, Mapping, Sequence
-from dataclasses import dataclass, replace
+from dataclasses import dataclass
 import functools
 import math
 import time
@@ -392,7 +392,7 @@ class Problem:
         if time.monotonic() > self.deadline:
             raise TimeIsUp('its time was up')
         scene = scene or self.scene_of(values)
-        scene = replace(scene, load=self._loads_for(scene, values))
+        scene = scene.with_load(self._loads_for(scene, values))
         duration = min(end, self.record.duration) + self._early(values)
         with warnings.catch_warnings():
             warnings.simplefilter('ignore', ModelWarning)

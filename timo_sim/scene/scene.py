@@ -229,6 +229,13 @@ class Scene:
         """Return the scene with other values by name, nested or dotted; else ParameterError."""
         return scene_from({**self.values, **check(flatten(overrides), 'override')})
 
+    def with_load(self, load: Load) -> Scene:
+        """Return the scene with another load; what was computed without its load is kept."""
+        other = replace(self, load=load)
+        other.__dict__.update({name: value for name, value in vars(self).items()
+                               if name not in ('load', '_initial_motion')})
+        return other
+
     def with_fixed_shapes(self) -> Scene:
         """Return the scene with its static shapes named, so that `vary` keeps them."""
         names = {loads: name for name, loads in STATIC.items()}
