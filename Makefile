@@ -44,9 +44,13 @@ view: $(VENV)/.gallery ## show the run of `make sim` in rerun
 
 # The processes of pytest fill the cores; threads of BLAS would only wait for each other.
 test test-lowest test-without-ros: export OPENBLAS_NUM_THREADS := 1
-PYTEST := -m pytest test --numprocesses 3 --dist worksteal
+# Before, one process emits the code that they share: in each of them functions that many entry
+# points call would be emitted again. $(1) is Python.
+EMIT := from timo_sim.compiled.machine import intermediate_code as emit; \
+	from timo_sim.export.prebuilt import entries; [emit(*each) for each in entries()]
+PYTEST = $(1) -c '$(EMIT)' && $(1) -m pytest test --numprocesses 3 --dist worksteal
 test: $(VENV)/.test graphics ## pass all tests
-	@$(BIN)/python $(PYTEST)
+	@$(call PYTEST,$(BIN)/python)
 
 browser: $(VENV)/.test ## drive the page of export-web in the browsers that are installed
 	@$(BIN)/python -m pytest test/browser
@@ -56,11 +60,11 @@ without = $(addprefix --ignore=,$(shell grep -rlE '^ *(import|from) ($(1))\b' te
 
 # The lowest versions that pyproject.toml allows, on Python 3.12. rerun needs NumPy 2.
 test-lowest: .venv-lowest/.test ## pass the tests with the lowest versions of dependencies
-	@.venv-lowest/bin/python $(PYTEST) $(call without,rerun|rerun_cli)
+	@$(call PYTEST,.venv-lowest/bin/python) $(call without,rerun|rerun_cli)
 
 # For Python without ROS, such as 3.13, for which Jazzy has no wheels.
 test-without-ros: .venv-without-ros/.test graphics ## pass the tests that need no ROS
-	@PYTHONPATH=test .venv-without-ros/bin/python $(PYTEST) -p no:ros_process -p without_ros
+	@export PYTHONPATH=test; $(call PYTEST,.venv-without-ros/bin/python) -p no:ros_process -p without_ros
 
 # Pictures of views, in the tests and in the gallery, are drawn without a screen by Mesa's driver.
 GRAPHICS := mesa-vulkan-drivers libvulkan1
