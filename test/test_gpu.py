@@ -9,11 +9,12 @@ import re
 import shutil
 import subprocess
 import sys
+from types import SimpleNamespace
 
 import numpy as np
 import pytest
 
-from oracles.processor import Away, Processor
+from oracles.processor import Away, LIVE, Processor
 from test_batch import commands, scene_of, SCENES
 import timo_sim
 from timo_sim.compiled import machine
@@ -22,6 +23,7 @@ from timo_sim.model.layout import LOADS
 from timo_sim.simulation import batch as batches
 from timo_sim.simulation.batch import Batch
 from timo_sim.simulation.cuda import Cuda
+from timo_sim.steps import threads
 from timo_sim.steps.threads import thread_alike, thread_each, ThreadSteps
 
 
@@ -120,6 +122,73 @@ def test_what_is_missing_is_refused_before_anything_is_made(processor, monkeypat
         Batch(scene_of('free', 'exact'), n=10**5, device='cuda')
     with pytest.raises(timo_sim.ParameterError, match='device must be one of cpu, cuda'):
         Batch('paper', device='gpu')
+
+
+@pytest.mark.parametrize('alike', [True, False])
+def test_room_is_asked_for_before_as_much_is_made(alike, processor, monkeypatch):
+    """Arrays that are kept to the byte, others to what commands need for a moment."""
+    count = 320 if alike else 64
+    asked, spare = [], 8 * count * threads._MOMENTARY
+    monkeypatch.setattr(Processor, 'make_room', lambda _, number: asked.append(number))
+
+    def needed(call):
+        before = LIVE[1] = LIVE[0]
+        found = call()
+        assert LIVE[1] - before <= asked[-1]
+        return found, LIVE[1] - before
+    scenes = count * [scene_of('free', 'exact')] if alike else bodies('free', count)
+    batch, _ = needed(lambda: Batch(scenes, device='cuda'))
+    assert asked == [spare + sum(each.nbytes for each in batch._lanes._memory)]
+    batch.advance(3)
+    batch.reset(np.arange(count) < 9)  # lanes whose loads differ
+    for arguments in (250,), (250, np.ones(LOADS), 1), (300, None, 10):
+        assert needed(lambda: batch.advance(*arguments))[1] >= asked[-1] - spare
+    assert needed(lambda: batch.advance_tips(300))[1] >= asked[-1] - spare
+
+
+class Driver(Cuda):
+    """A GPU that loads kernels and has a kilobyte."""
+
+    def __init__(self):
+        self._processor, self.loaded, self.calls = 'sm_90', [], []
+
+    @property
+    def xp(self):
+        def alloc(number):
+            if number > 1000:
+                raise MemoryError
+        return SimpleNamespace(
+            int64=np.int64, uint64=np.uint64,
+            get_default_memory_pool=lambda: SimpleNamespace(free_bytes=lambda: 0),
+            cuda=SimpleNamespace(
+                alloc=alloc, Device=lambda: SimpleNamespace(id=-1, mem_info=(1000, 2000)),
+                Module=lambda: SimpleNamespace(
+                    load=self.loaded.append,
+                    get_function=lambda _: lambda *given: self.calls.append(given))))
+
+
+def test_kernels_are_loaded_once_and_take_room_for_their_stacks_at_once():
+    device, scene = Driver(), timo_sim.load_scene('paper', {'model.modes': 1})
+    steps = ThreadSteps(Processor(), [scene.build()], scene.step, 10.0,
+                        scene.bristles[np.newaxis], True)
+    for _ in range(2):
+        launch = device.kernel(thread_alike, steps._constants)
+    (grid, block, nothing), = device.calls
+    assert len(device.loaded) == 1 and nothing[-1] == 0 and not any(nothing)
+    launch(65, *range(1, len(nothing)))
+    assert device.calls[1] == ((2,), block, (*range(1, len(nothing)), 65))
+    device.make_room(1000)
+    with pytest.raises(timo_sim.ParameterError, match='memory of the GPU: 0.0 GiB are needed'):
+        device.make_room(1001)
+
+
+def test_arrays_of_the_host_are_not_taken_for_those_of_a_gpu():
+    """A tensor of torch may be either."""
+    device = Driver()
+    for memory, own in (1, False), (2, True), (13, True):
+        given = SimpleNamespace(__dlpack_device__=lambda kind=memory: (kind, 0))
+        assert device.owns(given) == own
+    assert not device.owns(np.zeros(3)) and not device.owns([1.0]) and not device.owns(None)
 
 
 def gpu():

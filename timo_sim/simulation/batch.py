@@ -74,7 +74,8 @@ class LaneLoads:
         self._equal = []
         for _, _, which in self._parts:
             each, place = np.unique(which + 1j * self.origin, return_inverse=True)
-            self._equal.append((each, self._lanes.xp.asarray(place[padded])))
+            self._equal.append((each, self._lanes.xp.asarray(
+                place[padded].reshape(-1, self._lanes.width))))
         for lane in self._slow.keys() & set(lanes if self._slow else ()):
             self._slow[lane] = Actuators(self._kinds[self._which[lane]].values, first)
 
@@ -90,6 +91,12 @@ class LaneLoads:
             self._commanded = self._lanes.host(commanded)
             acting = self._lanes.xp.where(self._held, 0.0, acting)
         return acting
+
+    def room(self, count: int) -> int:
+        """Return how many numbers `varying` needs in each lane, a copy of a part included."""
+        copied = max((len(columns) for (columns, *_), (kinds, _) in zip(self._parts, self._equal)
+                      if len(kinds) > 1), default=0)
+        return (1 + count) * STEP_LOADS * (len(self.columns) + copied)
 
     def varying(self, first: int, count: int) -> np.ndarray:
         """
@@ -112,7 +119,7 @@ class LaneLoads:
             at = np.searchsorted(self.columns, columns[0])
             own = xp.asarray(own)
             found[..., at:at + len(columns), :] = (
-                to_lanes(own[kind], width) if len(kinds) > 1 else own[0, ..., np.newaxis])
+                own[kind].transpose(0, 2, 3, 4, 1) if len(kinds) > 1 else own[0, ..., np.newaxis])
         if self._slow:
             found = self._lanes.host(found)
         for lane, actuators in self._slow.items():
@@ -388,20 +395,23 @@ class Batch(Stateful):
 
     def _advance(self, count, commanded, sample_every, with_tips=False):
         lanes, loads = self._lanes, self._loads
+        rows = 1 + count // sample_every if sample_every else 0
+        most = max(1, min(CHUNK, lanes.most_numbers // (4 * self.n * max(1, len(loads.columns)))))
+        # What is returned; then loads of steps, or copies of it with lanes as rows.
+        kept = rows * lanes.motion.shape[1] + 3 * count * with_tips
+        lanes.make_room(kept + max(kept * (1 + with_tips), loads.room(min(most, count))))
         commanded = lanes.xp.asarray(0.0 if commanded is None else commanded)
         acting = loads.command(lanes.xp.broadcast_to(commanded, (self.n, LOADS)))
         lanes.constant_load[:] = to_lanes(acting, lanes.width)
-        samples = lanes.room(1 + count // sample_every if sample_every else 0,
-                             lanes.motion.shape[1])
-        most = max(1, min(CHUNK, lanes.most_numbers // (4 * self.n * max(1, len(loads.columns)))))
+        samples = lanes.room(rows, lanes.motion.shape[1])
         tips = [lanes.room(0, 3)]
         first = 0
         while first < count:
             now, changes = self.steps + first, self._changes
             before = lanes.motion.copy() if changes else None
             part = min(most, count - first, self._change_tips(now) - now)
-            varying = loads.varying(now, part)
             at_starts = lanes.room(part if with_tips else 0, 3)
+            varying = loads.varying(now, part)
             lanes.advance(loads.columns, varying, sample_every, first, samples, at_starts)
             if self._changes != changes and sample_every and first % sample_every == 0:
                 samples[:, first // sample_every] = before  # a sample is from before a change

@@ -4,8 +4,6 @@
 """The device of a Batch that is a GPU of NVIDIA: memory and kernels by CuPy, the extra `cuda`."""
 
 from collections.abc import Callable
-from pathlib import Path
-from tempfile import TemporaryDirectory
 from typing import Any
 
 import numpy as np
@@ -16,6 +14,8 @@ from timo_sim.scene.parameters import ParameterError
 
 _BLOCK = 64  # threads of a block
 _OLDEST, _NEWEST = 80, 90  # compute capabilities for which PTX is made; later GPUs take the last
+_MEMORIES = 2, 13  # of DLPack's kinds of memory: that of a GPU, and that which CUDA manages
+_KERNELS: dict[Any, Any] = {}  # by their text and number of the device
 
 
 class Cuda:
@@ -36,7 +36,6 @@ class Cuda:
             raise ParameterError(f"device = 'cuda' needs a GPU of compute capability "
                                  f'{_OLDEST / 10} or newer, got {capability / 10}')
         self._processor = f'sm_{_NEWEST if capability >= _NEWEST else _OLDEST}'
-        self._stacks = 0  # room that the driver takes for those of all threads at a time [B]
 
     @property
     def xp(self) -> Any:
@@ -47,7 +46,7 @@ class Cuda:
 
     def owns(self, given: Any) -> bool:
         """Return whether something is an array of a device."""
-        return hasattr(given, '__dlpack__') and not isinstance(given, np.ndarray)
+        return hasattr(given, '__dlpack_device__') and given.__dlpack_device__()[0] in _MEMORIES
 
     def array(self, name: str, given: Any, shape: tuple[int, ...]) -> Any:
         """Return an array of finite numbers that the device has, or raise ParameterError."""
@@ -66,25 +65,28 @@ class Cuda:
         return given if ours else self.xp.from_dlpack(given)
 
     def make_room(self, number: int) -> None:
-        """Raise ParameterError if the device has no room for so many bytes."""
-        free = (self.xp.cuda.Device().mem_info[0] - self._stacks
-                + self.xp.get_default_memory_pool().free_bytes())
-        if number > free:
+        """Raise ParameterError if the device has no room for so many bytes, else keep them."""
+        try:
+            self.xp.cuda.alloc(number)  # CuPy's pool has them for the arrays that are made next
+        except MemoryError:
+            free = (self.xp.cuda.Device().mem_info[0]
+                    + self.xp.get_default_memory_pool().free_bytes())
             raise ParameterError(
                 f'n must fit into the memory of the GPU: {number / 2**30:.1f} GiB are needed, '
-                f'{max(free, 0) / 2**30:.1f} GiB are free')
+                f'{free / 2**30:.1f} GiB are free') from None
 
     def kernel(self, entry: Any, constants: tuple[Any, ...]) -> Callable[..., None]:
         """Return a function that calls an entry point with the first threads."""
         text = machine.ptx(entry, constants, self._processor)
-        with TemporaryDirectory() as folder:
-            path = Path(folder, 'arms.ptx')
-            path.write_bytes(text)
-            kernel = self.xp.RawModule(path=str(path)).get_function(machine.KERNEL)
-        about = self.xp.cuda.Device().attributes
-        self._stacks = kernel.local_size_bytes * (
-            about['MultiProcessorCount'] * about['MaxThreadsPerMultiProcessor'])
+        key = text, self.xp.cuda.Device().id
 
         def launch(count: int, *arrays: Any) -> None:
-            kernel((-(-count // _BLOCK),), (_BLOCK,), (*arrays, self.xp.int64(count)))
+            _KERNELS[key]((-(-count // _BLOCK),), (_BLOCK,), (*arrays, self.xp.int64(count)))
+
+        if key not in _KERNELS:
+            module = self.xp.cuda.Module()
+            module.load(text)
+            _KERNELS[key] = module.get_function(machine.KERNEL)
+            # At its first call the driver takes room for the stacks of all threads, and keeps it.
+            launch(0, *[self.xp.uint64(0)] * (len(entry.arguments) - 1))
         return launch

@@ -134,6 +134,9 @@ class LaneSteps:
         """Return one of these arrays as one of NumPy."""
         return array
 
+    def make_room(self, number: int) -> None:
+        """Raise an error if there is no room for so many numbers in each lane."""
+
     def room(self, number: int, length: int) -> np.ndarray:
         """Return an array for so many vectors of a length in each lane."""
         return self.xp.empty((self.groups, number, length, self.width))

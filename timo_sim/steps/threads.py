@@ -11,12 +11,16 @@ import numpy as np
 from timo_sim.compiled.entry import EntryPoint
 from timo_sim.compiled.functions import Thread, WARP
 from timo_sim.model.formulation import Formulation
+from timo_sim.model.layout import LOADS
 from timo_sim.steps.lanes import advance_alike, advance_each, advance_group, Lane, LaneSteps
 
 # As those of `lanes`, but a call advances one lane, whose number is its last argument.
 thread_alike, thread_each = (
     EntryPoint(advance_group, {**entry.arguments, 'group': Thread}, name)
     for entry, name in ((advance_alike, 'thread_alike'), (advance_each, 'thread_each')))
+
+# Numbers that resets and commands need in each lane for a moment.
+_MOMENTARY = 3 * LOADS
 
 
 class ThreadSteps(LaneSteps):
@@ -26,7 +30,8 @@ class ThreadSteps(LaneSteps):
     The arrays are in the memory of a `device`: `xp` is its NumPy, `make_room(number)` raises an
     error if it has no room for so many bytes, `host(array)` returns an array of NumPy, and
     `kernel(entry, constants)` a function that calls an entry point with the first threads; its
-    arguments are their number and what passes those of the entry point but the last.
+    arguments are their number and what passes those of the entry point but the last. The room for
+    the stacks of all threads is taken when the kernel is made.
     """
 
     width, most_numbers = WARP, 2**27
@@ -37,21 +42,22 @@ class ThreadSteps(LaneSteps):
         self._memory: list[Any] = []
         alike = alike and all(model is models[0] for model in models) and bool(
             (bristles == bristles[0]).all())
-        # The first group tells how much memory all need, and the kernel how much its stacks do.
+        # The first group tells how much memory all need.
         super().__init__(models[:WARP], step, bend_limit, bristles[:WARP], alike)
-        self._kernel  # loads it
+        self._kernel  # makes it
         alike = self._alike
-        own = self._constants[2 * alike:-1]
         self.groups = -(-len(models) // WARP)
-        device.make_room(self.groups * sum(each.length for each in own))
+        repeated = [*2 * [1 if alike else self.groups], *2 * [self.groups]]
+        kept = sum(each.length * count for each, count in zip(self._constants, repeated))
+        device.make_room(kept + 8 * WARP * self.groups * _MOMENTARY)
         self._models, self._bristles = self._padded(models), bristles
         if self._sectors is not None:
             self._sectors = np.full(len(self._models), -1)
         packed = self._constants if alike else self._pack(
             self._models, bend_limit, self._padded(bristles))
-        self._memory = [self.xp.asarray(each.memory.view(float)) for each in packed[:-1]]
-        if alike:
-            self._memory[2:] = [self.xp.tile(each, self.groups) for each in self._memory[2:]]
+        self._memory = [self.xp.tile(self.xp.asarray(each.memory.view(float)), count)
+                        if count > each.groups else self.xp.asarray(each.memory.view(float))
+                        for each, count in zip(packed, repeated)]
         self._name_fields()
 
     def _fields(self, part):
@@ -64,11 +70,9 @@ class ThreadSteps(LaneSteps):
         """Return an array of the device as one of NumPy."""
         return self._device.host(array)
 
-    def room(self, number: int, length: int) -> Any:
-        """Return an array for so many vectors of a length in each lane."""
-        if number:
-            self._device.make_room(8 * self.groups * WARP * number * length)
-        return super().room(number, length)
+    def make_room(self, number: int) -> None:
+        """Raise an error if there is no room for so many numbers in each lane."""
+        self._device.make_room(8 * self.groups * WARP * (number + _MOMENTARY))
 
     def __getstate__(self):
         return {name: each for name, each in vars(self).items()
