@@ -18,12 +18,14 @@ from conftest import code_for_any_size, OF_SNAPSHOTS
 import timo_sim
 from timo_sim.export.c import write_c
 from timo_sim.export.constants import interface_of
-from timo_sim.model.layout import FORCE_X, LOADS, place, TORQUE
+from timo_sim.model.layout import FORCE_X, LOADS, place, rotate, TORQUE
 from timo_sim.export.instance import MODAL, SAVED
 from timo_sim.scene.parameters import PARAMETERS
+from timo_sim.simulation.finer import refine
 
 ROOT = Path(__file__).resolve().parents[1]
-RUN, ABUSE = (ROOT / 'test/data' / name for name in ('run_arm.c', 'abuse_arm.c'))
+RUN, ABUSE, LOOP = (ROOT / 'test/data' / name for name in (
+    'run_arm.c', 'abuse_arm.c', 'loop_arm.c'))
 CC = shutil.which('cc')
 # Compiler and emulator of other processors, and their number in headers of ELF.
 CROSS = {name: (shutil.which(f'{name}-linux-gnu-gcc'), shutil.which(f'qemu-{name}'), number)
@@ -341,6 +343,38 @@ def test_estimated_error(tmp_path):
     found = run_program(compile_program(RUN, tmp_path), ['i 4 2.0', *100 * ['s 1', 'o']])
     assert errors[-1] > 1e-8
     np.testing.assert_allclose([row[-1] for row in found], errors, rtol=0.0, atol=1e-15)
+
+
+@pytest.mark.parametrize('kp, kd, count, least, most', [
+    (2000.0, 300.0, 900, 50.0, np.inf),  # alone it falls
+    (30000.0, 100.0, 200, 0.0, 0.95)])   # its vibration is damped little
+def test_estimated_error_of_a_closed_loop(kp, kd, count, least, most, tmp_path):
+    """
+    It is that of the loop of a much finer run, if the finer run has its own controller.
+
+    An arm that stands on end: with the inputs of the scene's run the finer one falls, or errors
+    that the controller makes are not seen.
+    """
+    scene = scene_of({'carrier.held': 'both', 'gravity': [0.0, -9.81], 'initial.shaft': 1.4,
+                      'integrator.step': 0.005, 'model.modes': 2})
+    export(scene, tmp_path, estimate=True)
+    program = compile_program(LOOP, tmp_path, *(f'-D{name}={value}' for name, value in (
+        ('KP', kp), ('KD', kd), ('GOAL', 1.5), ('COUNT', count))))
+    tips, found = [], []
+    for arguments in ['its own controller'], []:
+        lines = subprocess.run([program, *arguments], check=True, text=True,
+                               stdout=subprocess.PIPE).stdout.splitlines()
+        *tips, (stated,) = ([float.fromhex(word) for word in line.split()] for line in lines)
+        found.append(stated)
+    finer = timo_sim.Simulator(refine(scene, 8, modes=4))
+    motions = np.empty((count, finer.motion.values.size))
+    for each in motions:
+        shaft, speed = finer.motion.shaft, finer.motion.shaft_velocity
+        each[:] = finer.step(torque=kp * (1.5 - shaft) - kd * speed, duration=scene.step).values
+    places = rotate(motions[:, 2], *finer.model.tips(motions)[:, :2].T)
+    apart = np.linalg.norm(np.transpose(places) - tips, axis=1)
+    assert found[0] == pytest.approx(apart.max(), rel=0.02)  # the finer run has an error, too
+    assert least * apart.max() <= found[1] <= most * apart.max()
 
 
 @pytest.mark.parametrize('changes, estimate', [
