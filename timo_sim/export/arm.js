@@ -35,13 +35,9 @@ class Arm {
     this.bytes = new Uint8Array(exports.memory.buffer);
     this.inputs = Object.fromEntries(scene.inputs.map(([name], number) => [name, number]));
     this.places = Object.fromEntries(scene.outputs.map((name, number) => [name, number]));
-    this.blocks = scene.blocks.map(([symbol, offset, length, rows, step]) => {
+    this.blocks = scene.blocks.map(([symbol, offset, length, rows, step, ...loads]) => {
       const place = exports[symbol].value + offset;
-      return { place, rows, step, own: this.bytes.slice(place, place + length) };
-    });
-    this.loads = scene.loads.map(([symbol, offset, size]) => {
-      const place = exports[symbol].value + offset;
-      return [place, this.bytes.slice(place, place + size)];
+      return { place, rows, step, loads, own: this.bytes.slice(place, place + length) };
     });
     exports.arm_create(this.instance, scene.size);
   }
@@ -126,9 +122,9 @@ class Arm {
   // Take the loads of the scene away, or give them back; no table changes them.
   useLoads(used) {
     this.loaded = used;
-    for (const [place, content] of this.loads) {
-      if (used) this.bytes.set(content, place);
-      else this.bytes.fill(0, place, place + content.length);
+    for (const { place, own, loads: [from, to] } of this.blocks) {
+      if (used) this.bytes.set(own.subarray(from, to), place + from);
+      else this.bytes.fill(0, place + from, place + to);
     }
   }
 }
@@ -212,9 +208,9 @@ function build() {
     made.id = name;
   }
   byId('keys-of-carrier').hidden = !(scene.ranges.force_x || scene.ranges.force_y);
-  byId('of-scene').innerHTML = scene.loads.length ? '<label class="check">' +
+  byId('of-scene').innerHTML = scene.loads ? '<label class="check">' +
     '<input type="checkbox" id="loads" checked>the loads of the scene act, too</label>' : '';
-  if (scene.loads.length)
+  if (scene.loads)
     byId('loads').addEventListener('change', event => arm.useLoads(event.target.checked));
   const stations = byId('stations');
   stations.replaceChildren();

@@ -33,12 +33,13 @@ from timo_sim.export.library import library
 from timo_sim.model.layout import LOADS
 from timo_sim.runs.linear import linearize
 from timo_sim.runs.modes import modes
+from timo_sim.scene.bodies import motor_constants
 from timo_sim.scene.files import check_target, whole_file
-from timo_sim.scene.parameters import (
-    checked, fixed_axes, FLAG, FUNCTION, ParameterError, PATH)
+from timo_sim.scene.parameters import checked, FLAG, FUNCTION, ParameterError, PATH
 from timo_sim.scene.scene import load_scene, Scene, scene_from, SceneLike
 from timo_sim.simulation.warnings import inaccurate, MOST_APART
 from timo_sim.steps import etdrk4
+from timo_sim.steps.loads import SceneLoads
 from timo_sim.version import __version__
 from timo_sim.view.track import body_of
 
@@ -129,39 +130,31 @@ def _scene(name: str, scene: Scene, estimate: bool) -> dict[str, Any]:
         'name': name, 'step': scene.step, 'size': made.size,
         'wasm': _deflated(link_wasm(made.content, propagate)), 'tables': _deflated(tables),
         'blocks': _blocks(made), 'series': etdrk4.SERIES.tolist(),
-        'loads': [*_loads(made)] if scene.load and values['motor.shaft'] != 'driven' else [],
+        'loads': bool(scene.load) and values['motor.shaft'] != 'driven',
         'inputs': [[each.title, each.unit, each.meaning] for each in interface.inputs],
         'outputs': [each.title for each in interface.outputs],
         'parameters': [[each.title, each.unit, each.meaning] for each in interface.parameters],
         'sliders': sliders, 'loops': loops, 'ranges': _ranges(scene), 'hub': values['hub.radius'],
         'body': body._asdict(), 'gravity': list(values['gravity']),
-        'free': [fixed_axes(values) not in (axis, 'both') for axis in 'xy'],
+        'free': np.logical_not(scene.build().constrained[:2]).tolist(),
         'warning': [along, meant, MOST_APART * scene.manipulator.arm.length],
         'about': f'{name}: {repr(scene).partition(": ")[2].rpartition(", ")[0]}'}
 
 
 def _blocks(made):
     """
-    Return the constants: symbol, offset and length [B], and of propagators size and step [s].
-
-    Both are 0 for other constants.
+    Return the constants: symbol, offset and length [B]; of propagators size and step [s]; and
+    where among them the scene's own loads are, from and to [B]. All are 0 for other constants.
     """
     steps = {id(each): model.step for model in made.models for each in model.parts[1]}
+
+    def loads(packed):
+        first = packed.offsets.get('first_load', 0)  # what an instance begins with
+        return (first, first + 8 * LOADS if first else packed.length * (packed.kind is SceneLoads))
     return [[symbol, sum(each.length for each in group[:number]), packed.length,
-             packed.sizes['state'] if id(packed) in steps else 0, steps.get(id(packed), 0.0)]
+             packed.sizes['state'] if id(packed) in steps else 0, steps.get(id(packed), 0.0),
+             *loads(packed)]
             for symbol, group in made.constants.items() for number, packed in enumerate(group)]
-
-
-def _loads(made):
-    """Yield the places of the scene's own loads: symbol, offset and length [B]."""
-    for symbol, group in made.constants.items():
-        begin = 0
-        for packed in group:
-            if 'first_load' in packed.offsets:  # what an instance begins with
-                yield symbol, begin + packed.offsets['first_load'], 8 * LOADS
-            elif packed in [model.loads for model in made.models]:
-                yield symbol, begin, packed.length
-            begin += packed.length
 
 
 def _deflated(content: bytes) -> str:
@@ -178,7 +171,7 @@ def _stations(scene, estimate, made):
     """
     begin, own = 0, np.frombuffer(
         bytearray(made.constants_of(simulators_of(scene, estimate))), np.uint8)
-    for _, _, length, size, _ in _blocks(made):
+    for _, _, length, size, *_ in _blocks(made):
         begin += 8 * size**2 or length
         own[begin - 8 * size**2:begin] = 0
     tables, sliders, loops = [], [], [_loop(scene)]
@@ -252,14 +245,13 @@ def _loop(scene):
             clamped = modes(scene, 0.0, 'closed').frequency if scene.modal_count else [1.0]
     except ParameterError as error:
         return {'why': str(error)}
-    body = scene.build()
-    arm = body.point_mass, body.centres.lever
-    inertia = (scene.manipulator.shaft_inertia + (body.gear.inertia if body.gear else 0.0)
-               + body.point_inertia.sum() + np.dot(arm[0], arm[1]**2))
-    if fixed_axes(values) == 'none':
-        inertia -= np.dot(*arm)**2 / body.mass
-    # The torque of a step that begins at rest stays below the limit.
-    most = math.sqrt(_SHARE * _torque_limit(values) / (_STEP * inertia))
+    # Of the straight arm that does not bend, on a carrier that may recoil.
+    free = np.flatnonzero(np.logical_not(scene.build().constrained))
+    inertia = 1.0 / np.linalg.inv(
+        scene.build().mass_matrix(rest)[0][np.ix_(free, free)])[-1, -1]
+    # The torque of a step that begins at rest stays below that of commands and motor.
+    limit = min([values['motor.torque_limit'], *scene.manipulator.motor_limit[:1]])
+    most = math.sqrt(_SHARE * limit / (_STEP * inertia))
     for share in _BANDWIDTHS:
         omega = min(2.0 * math.pi * share * clamped[0], most)
         gains = inertia * np.array([omega**2, 1.4 * omega])
@@ -280,13 +272,6 @@ def _loop(scene):
             'amplitudes': shaped.amplitudes.tolist() if shaped else [1.0]}
 
 
-def _torque_limit(values):
-    """Return the largest torque of commands [N m]."""
-    return min(values['motor.torque_limit'], values['motor.dc.current_limit']
-               * values['motor.dc.torque_constant'] * values['motor.dc.gear_ratio']
-               if values['motor.dc.resistance'] else math.inf)
-
-
 def _ranges(scene):
     """
     Return the largest values of the page's sliders of inputs, by name.
@@ -301,11 +286,10 @@ def _ranges(scene):
     if values['motor.shaft'] == 'free':
         found['torque'] = min(torque, values['motor.torque_limit'])
         if values['motor.dc.resistance']:
-            found['voltage'] = min(torque * values['motor.dc.resistance'] / (
-                values['motor.dc.torque_constant'] * values['motor.dc.gear_ratio']),
-                values['motor.dc.voltage_limit'])
-    for axis in 'xy':
-        if fixed_axes(values) not in (axis, 'both'):
+            found['voltage'] = min(
+                torque / motor_constants(values)[0], values['motor.dc.voltage_limit'])
+    for axis, held in zip('xy', scene.build().constrained):
+        if not held:
             found[f'force_{axis}'] = min(2.0 * force, values['carrier.force_limit'])
     found['tip_force_across_arm'] = force
     # Two digits are enough for a slider.
