@@ -564,7 +564,7 @@ function drawPlane() {
     context.lineWidth = 2.5;
   }
   const torque = values.shaft_torque, share = torque / (Math.abs(torque) + 0.3 * (ranges.torque || 1));
-  if (Math.abs(share) > 0.02) {  // an arc around the hub, from the arm on
+  if (Math.abs(share) > 0.06) {  // an arc, longer than its head, around the hub, from the arm on
     const radius = Math.max(half * 1.5, root + 9), end = 1.5 * Math.PI * share;
     context.beginPath();
     context.arc(cx, cy, radius, -shaft, -shaft - end, end > 0);
@@ -661,7 +661,7 @@ function drawCurves() {
 function drawTexts() {
   const error = values.estimated_tip_error;
   byId('clock').textContent = `t = ${values.time.toFixed(2)} s` +
-    (error === undefined ? '' : `, estimated error of the tip ${figure(error)} m`) +
+    (error === undefined ? '' : `, estimated tip error ${figure(1e6 * error)} µm`) +
     (behind > 0.1 ? ', slower than wanted' : '');
   const [before, after, most] = scene.warning;
   byId('warning').textContent = diverged ?

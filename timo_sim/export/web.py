@@ -138,7 +138,8 @@ def _scene(name: str, scene: Scene, estimate: bool) -> dict[str, Any]:
         'body': body._asdict(), 'gravity': list(values['gravity']),
         'free': np.logical_not(scene.build().constrained[:2]).tolist(),
         'warning': [along, meant, MOST_APART * scene.manipulator.arm.length],
-        'about': f'{name}: {repr(scene).partition(": ")[2].rpartition(", ")[0]}'}
+        'about': f'{name}: arm of {scene.manipulator.arm.length:g} m, '
+        f'{values["model.modes"]} modes of bending, steps of {1e3 * scene.step:g} ms'}
 
 
 def _blocks(made):
@@ -175,10 +176,10 @@ def _stations(scene, estimate, made):
         begin += 8 * size**2 or length
         own[begin - 8 * size**2:begin] = 0
     tables, sliders, loops = [], [], [_loop(scene)]
-    for label, unit, shown, changes in _variations(scene):
+    for label, unit, present, changes in _variations(scene):
         chosen = []
-        for value, change in zip(shown, changes):
-            if change is None:
+        for value, change in changes.items():
+            if value == present:
                 chosen.append([value, 0])
                 continue
             try:
@@ -202,26 +203,23 @@ def _stations(scene, estimate, made):
 
 
 def _variations(scene):
-    """Yield label, unit, values of five stations, and the changes that make them, None: none."""
+    """Yield label, unit and value of a slider, and the changes of the scene for five values."""
     values, mass = scene.values, scene.values['end_effector.mass']
     shown = [mass * factor for factor in _FACTORS] if mass else [
         scene.build().arm_mass * factor for factor in _FRACTIONS]
-    yield 'mass at the tip', 'kg', shown, [
-        None if value == mass else {'end_effector.mass': value} for value in shown]
+    yield 'mass at the tip', 'kg', mass, {value: {'end_effector.mass': value} for value in shown}
     if not scene.modal_count:  # it does not bend
         return
-    ratios = np.ravel(values['arm.damping_ratio']).tolist()
-    shown = [ratios[0] * factor for factor in (0.0, *_FACTORS[1:])] if any(ratios) else [*_DAMPING]
-    yield 'damping ratio', '', shown, [
-        None if value == (ratios or [0.0])[0] else {'arm.damping_ratio': [
-            value / ratios[0] * each for each in ratios] if any(ratios) else [value]}
-        for value in shown]
-    material = {'arm.material': 'none', 'arm.density': values['arm.density']}
+    first, *others = np.ravel(values['arm.damping_ratio']).tolist() or [0.0]
+    shown = [first * factor for factor in (0.0, *_FACTORS[1:])] if first else [*_DAMPING]
+    yield 'damping ratio', '', first, {value: {'arm.damping_ratio': [
+        value, *(value / first * each for each in others if first)]} for value in shown}
     stiff = {name: value for name, value in values.items() if name.startswith('arm.')
              and name.endswith(('_modulus', '_stiffness'))}
-    yield 'stiffness', 'x', _FACTORS, [None if factor == 1.0 else {**material, **{
-        name: np.multiply(factor, value).tolist() for name, value in stiff.items()}}
-        for factor in _FACTORS]
+    yield 'stiffness', 'x', 1.0, {factor: {
+        'arm.material': 'none', 'arm.density': values['arm.density'],
+        **{name: np.multiply(factor, value).tolist() for name, value in stiff.items()}}
+        for factor in _FACTORS}
 
 
 def _loop(scene):
