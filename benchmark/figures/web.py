@@ -39,7 +39,9 @@ def main():
             time.sleep(0.5)
             window.picture(path)
     seen = Image.open(path).convert('RGB').crop(_SEEN)
-    seen.quantize(256, dither=Image.Dither.NONE).save(path, optimize=True)
+    # Also the colours of thin lines.
+    seen.quantize(256, Image.Quantize.MAXCOVERAGE, dither=Image.Dither.NONE).save(
+        path, optimize=True)
 
 
 if __name__ == '__main__':

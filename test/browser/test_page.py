@@ -77,6 +77,9 @@ def test_page_is_driven(name, page, tmp_path):
         window.until('return values.time > 3 && '
                      'Math.abs(values.shaft - 0.25 * Math.PI - 0.2) < 0.02')
         assert 0.0 < window.run('return values.estimated_tip_error') < 1e-3
+        # The curve has the torque of the first step, kp times the first part of the goal's step.
+        assert window.run('return Math.max(...samples.map(each => Math.abs(each.torque))) / '
+                          '(law.gains[0] * 0.2 * law.amplitudes[0])') > 0.99
         picture(window, tmp_path, f'{name}_light_1300')
         for number, wanted in (1, 'arm'), (2, 'standing'), (0, 'paper'):
             assert choose(window, number) == wanted

@@ -302,7 +302,7 @@ function command() {
   arm.pull = [0, 0];
   for (const name of ['tip_force_x', 'tip_force_y']) arm.set(name, 0);
   if (!closed && !pointer) return;
-  const goal = loop.goalAt(arm.get('time'));
+  const goal = loop.given = loop.goalAt(arm.get('time'));
   arm.seen().forEach(([x, y, shaft, speed, tipX, tipY], run) => {
     if (closed)
       arm.set('torque', given('torque') + law.gains[0] * (goal - shaft) - law.gains[1] * speed, run);
@@ -323,7 +323,7 @@ function command() {
 function advance(count) {
   const every = Math.max(1, Math.round(1 / RATE / scene.step)), begun = performance.now();
   const one = loop.closed || pointer;  // these inputs change in each step
-  let done = 0;
+  let done = 0, before = loop.given;
   while (done < count && !diverged) {
     const part = one ? 1 : Math.min(count - done, every - unsampled);
     command();
@@ -333,7 +333,9 @@ function advance(count) {
     }
     done += part;
     unsampled += part;
-    if (unsampled >= every) sample();
+    // The largest torque is that of the step in which the goal jumps.
+    if (unsampled >= every || loop.given !== before) sample();
+    before = loop.given;
     if (done % 8 < part && performance.now() - begun > BUDGET) break;
   }
   values = arm.outputs();
@@ -662,7 +664,7 @@ function drawTexts() {
   const error = values.estimated_tip_error;
   byId('clock').textContent = `t = ${values.time.toFixed(2)} s` +
     (error === undefined ? '' : `, estimated tip error ${figure(1e6 * error)} µm`) +
-    (behind > 0.1 ? ', slower than wanted' : '');
+    (running && behind > 0.1 ? ', slower than wanted' : '');
   const [before, after, most] = scene.warning;
   byId('warning').textContent = diverged ?
     'The run diverged and stands at its last good step: reset it.' :
