@@ -69,9 +69,15 @@ def test_a_stiff_arm_has_the_response_of_its_inertia_also_beside_a_record_in_tim
     assert fit.values[names[1]] == pytest.approx(friction, rel=0.03)
 
 
+RE_IM = {'real': 're', 'imaginary': 'im'}
+
+
 @pytest.mark.parametrize('change, said', [
     ({'input': 'drive'}, 'input, one of'), ({'outputs': {'shaft': {'real': 're'}}}, 'magnitude'),
     ({'outputs': {'shaft': {'reel': 're'}}}, 'reel is not known.*did you mean real'),
+    ({'outputs': {'shaft': {**RE_IM, 'scale': 'much'}}}, "scale must be a finite number, got 'mu"),
+    ({'outputs': {'shaft': {**RE_IM, 'unit': 'db'}}}, 'shaft must .* unit dB or none, got'),
+    ({'outputs': {'shaft': 3}}, 'outputs: shaft must have some of magnitude, .*, got 3'),
     ({'frequency': 'g'}, 'g is no column of the table')])
 def test_a_mapping_of_a_response_that_is_wrong_is_refused(tmp_path, change, said):
     written(tmp_path / 'r.csv', np.arange(1.0, 21.0), np.ones(20), np.ones(20))

@@ -167,7 +167,7 @@ def test_the_terminal_is_as_it_was_whatever_ends_it(client, terminal):
         assert keys.end(act) == (code, True), name
 
 
-SENT = {'motor_torque': ('-1.5', [-1.5, 0]),
+SENT = {'motor_torque': ('-15e-1', [-1.5, 0]),  # no number in YAML 1.1, which wants -15.0e-1
         'commands': ('[1, 2, -0.3]', [1, 2, 0, 0, -0.3, 0]),
         'tip_wrench': ('{header: {frame_id: arm}, wrench: {force: {x: 0.5}, torque: {z: 2}}}',
                        [0, 0, 0.5, 0, 2, 0, 0]),
@@ -240,8 +240,17 @@ def test_of_a_node_that_diverged_it_is_said_that_it_needs_a_reset(start, client)
     ('motor_torque', '.nan', 'takes a std_msgs/msg/Float64, in YAML .*: data must be finite'),
     ('motor_torque', '[1]', 'takes a std_msgs/msg/Float64, in YAML'),
     ('carrier_wrench', '{force: {x: 1}}', 'WrenchStamped has no field force'),
-    ('tip_wrench', '{header: 1}', 'takes a geometry_msgs/msg/WrenchStamped, in YAML'),
-    ('joint_command', '{name: [shaft, shaft], effort: [1, 2]}', 'hold joints, once each')])
+    ('tip_wrench', '{header: 1}', 'header of .* must be a std_msgs/msg/Header, got 1'),
+    ('joint_command', '{name: [shaft, shaft], effort: [1, 2]}', 'hold joints, once each'),
+    ('joint_command', '{name: [shaft], effort: [.nan]}', 'effort must be finite, got nan'),
+    ('commands', '[0, .nan, 1]', 'every component must be finite, got nan'),
+    ('motor_torque', '1e400', 'data must be finite, got inf'),
+    ('motor_torque', 'much', "data of std_msgs/msg/Float64 must be a float64, got 'much'"),
+    ('motor_torque', 'yes', 'data of std_msgs/msg/Float64 must be a float64, got True'),
+    ('tip_wrench', '{wrench: {force: 3}}', 'force of .* must be a geometry_msgs/msg/Vector3'),
+    ('tip_wrench', '{wrench: {force: {x: 1:30}}}', "x of .*Vector3 must be a float64, got '1:30'"),
+    ('joint_command', '{name: shaft, effort: [1]}', "name of .* must be a list, got 'shaft'"),
+    ('joint_command', '{name: [shaft], effort: 1}', 'effort of .* must be a list, got 1')])
 def test_a_wrong_command_is_answered_by_what_is_right(topic, message, words):
     with pytest.raises(timo_sim.ParameterError, match=words):
         send(topic, message, '/timo_sim', 0.0)

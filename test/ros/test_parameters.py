@@ -54,7 +54,8 @@ SAME = {
     'stars, then a name': '/**: {timo_sim: {ros__parameters: {arm.length: 3.0}}}',
     'stars that come last': 'timo_sim: {ros__parameters: {arm.length: 3.0}}\n'
                             '/**: {ros__parameters: {arm: {length: 4.0}}}',
-    'numbers': 'timo_sim: {ros__parameters: {arm.length: 010, arm.section.width: 2e-2, '
+    'numbers': 'timo_sim: {ros__parameters: {arm.length: 08, arm.section.width: 2e-2, '
+               'arm.section.height: .5, motor.viscous_friction: +1, initial.shaft: -1_0, '
                'model.modes: 0x3}}',
     "rclpy's own": 'timo_sim: {ros__parameters: {use_sim_time: false, arm.length: 3.0}}',
     'a mark of UTF-8': '\ufefftimo_sim: {ros__parameters: {arm.length: 3.0}}'}
@@ -72,6 +73,11 @@ REFUSED = {
         'timo_sim: {ros__parameters: {arm: {<<: {length: 3.0}}}}',
         'timo_sim: {ros__parameters: {arm.section.width: &a 0.03, arm.section.height: *a}}',
         'timo_sim: {ros__parameters: {arm.length: 3.0}}\nversion: 3'),
+    'must be .*, got .(1:30|0b11|2026-11-28).': (
+        'timo_sim: {ros__parameters: {arm.length: 1:30}}',
+        'timo_sim: {ros__parameters: {model.modes: 0b11}}',
+        'timo_sim: {ros__parameters: {initial.shaft: 2026-11-28}}'),
+    '010, which ROS reads as octal': ('timo_sim: {ros__parameters: {arm.length: 010}}',),
     'use_sim_times = True is not a parameter': (
         'timo_sim: {ros__parameters: {use_sim_times: true}}',)}
 
@@ -95,7 +101,8 @@ def test_scene_and_node_take_the_same_sections(tmp_path):
     for name, text in SAME.items():
         path.write_text(text)
         theirs = {name: value for name, value in overrides(path).items() if name != 'use_sim_time'}
-        assert theirs and check(read_parameter_file(path), 'scene') == check(theirs, 'node'), name
+        ours = read_parameter_file(path)
+        assert theirs and ours == theirs and check(ours, 'scene') == check(theirs, 'node'), name
         timo_sim.load_scene({}, read_parameter_file(path))
 
 

@@ -18,10 +18,12 @@ from timo_sim.fitting.problem import Problem, sensor_of, TimeIsUp
 from timo_sim.fitting.record import Channel, DRIVE, INPUT_UNITS, OUTPUTS, Record, unit_of
 from timo_sim.model.layout import with_unit
 from timo_sim.runs.linear import linearize
-from timo_sim.scene.parameters import did_you_mean, ModelWarning, ParameterError, short
+from timo_sim.scene.parameters import (
+    did_you_mean, ModelWarning, Parameter, ParameterError, short)
 from timo_sim.scene.scene import Scene
 
 _KEYS = 'magnitude', 'phase', 'real', 'imaginary', 'unit', 'scale', 'coherence'
+_SCALE = Parameter('scale', 1.0, '', '')
 _FEWEST = 5                # frequencies
 _MOST_COHERENT = 0.999     # more is not believed
 
@@ -63,6 +65,9 @@ def response_of(mapping: Mapping[str, Any], table: Any, source: str) -> Response
     frequency = numbers(mapping['frequency'])
     channels, weights = {}, {}
     for name, entry in outputs.items():
+        if not isinstance(entry, Mapping) or entry.get('unit', 'dB') != 'dB':
+            raise ParameterError(f'outputs: {name} must have some of {", ".join(_KEYS)}, with '
+                                 f'unit dB or none, got {short(entry)}')
         for key in entry:
             if key not in _KEYS:
                 raise ParameterError(f'outputs: {name}: {short(key, str)} is not known: take '
@@ -76,7 +81,7 @@ def response_of(mapping: Mapping[str, Any], table: Any, source: str) -> Response
         else:
             raise ParameterError(f'outputs: {name} must have columns magnitude and phase [deg], '
                                  'or real and imaginary')
-        measured = measured * float(entry.get('scale', 1.0))
+        measured = measured * _SCALE.check(entry.get('scale', 1.0))
         sure = np.minimum(numbers(entry['coherence']), _MOST_COHERENT) if 'coherence' in entry \
             else np.full(len(frequency), 0.5)
         good = np.isfinite(measured) & (measured != 0.0) & (frequency > 0.0) & (sure > 0.0)

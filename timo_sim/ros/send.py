@@ -4,7 +4,7 @@
 """One command for a running node, sent by a process of its own."""
 
 from itertools import chain
-import struct
+import math
 import time
 
 import rclpy
@@ -31,8 +31,10 @@ def _message(topic, command, text, frames):
         texts, lists, _ = Reader(command.type_name)(message)
         frame = (texts or [''])[0]
         command.row(texts, lists, frames or dict.fromkeys(FRAMES, frame))
+        if any(map(math.isnan, lists[-1])):
+            raise ValueError('effort must be finite, got nan, by which ros2_control skips a joint')
         return message, frame, command.no_effect(texts, lists)
-    except (AttributeError, TypeError, ValueError, struct.error) as error:
+    except ValueError as error:
         raise ParameterError(f'{topic} takes a {command.type_name}, in YAML as of ros2 topic pub, '
                              f'got {short(text)}: {error}') from None
 

@@ -172,8 +172,17 @@ def is_for(section: str, node: str) -> bool:
     return bool(re.fullmatch(pattern, node))
 
 
+# Numbers as C and ROS read them: in YAML 1.1, which PyYAML has, 1e-3 is a text and 1:30 is 90.
+_NUMBERS = [('tag:yaml.org,2002:int', re.compile(r'[-+]?([1-9]\d*|0[0-7]*|0x[\da-fA-F]+)$')),
+            ('tag:yaml.org,2002:float', re.compile(
+                r'[-+]?((\d+\.?\d*|\.\d+)([eE][-+]?\d+)?|\.(inf|Inf|INF|nan|NaN|NAN))$'))]
+
+
 class _Loader(getattr(yaml, 'CSafeLoader', yaml.SafeLoader)):  # type: ignore[misc]
     """A loader by libyaml, as ROS has one, that accepts only what ROS reads alike."""
+
+    yaml_implicit_resolvers = {**yaml.SafeLoader.yaml_implicit_resolvers,
+                               **dict.fromkeys('+-.0123456789', _NUMBERS)}
 
     def flatten_mapping(self, node: Any) -> None:
         """Refuse duplicate names, and merge keys, which ROS reads as ordinary names."""
@@ -187,11 +196,15 @@ class _Loader(getattr(yaml, 'CSafeLoader', yaml.SafeLoader)):  # type: ignore[mi
 
 
 def _check_events(content):
-    """Refuse aliases, which ROS does not know, and nesting that overflows the loader's stack."""
+    """Refuse octal numbers, aliases, unknown to ROS, and nesting beyond the loader's stack."""
     depth = 0
     for event in yaml.parse(content, _Loader):
         if isinstance(event, yaml.AliasEvent):
             _refuse('an alias, which ROS does not take', event)
+        if isinstance(event, yaml.ScalarEvent) and not event.style and (
+                re.fullmatch('[-+]?0[0-7]+', event.value)):
+            _refuse(f'{event.value}, which ROS reads as octal: write {int(event.value)}, or '
+                    f'{int(event.value, 8)} if you mean that', event)
         depth += isinstance(event, yaml.CollectionStartEvent)
         depth -= isinstance(event, yaml.CollectionEndEvent)
         if depth > _DEEPEST:

@@ -162,8 +162,8 @@ def pack(type_name: str, values: Mapping[str, Any]) -> bytes:
 
     `values` has by name of field numbers, str, dict for messages, lists for arrays. A field that
     is missing has its default, which is zero or empty unless the definition says otherwise (w of a
-    quaternion is 1). Raises CdrError if a field is unknown, or an array of fixed length is given
-    with another length.
+    quaternion is 1). Raises CdrError if a field is unknown, its value is of another type, or an
+    array of fixed length is given with another length.
 
     >>> pack('std_msgs/msg/Float64', {'data': 1.0}).hex()
     '00010000000000000000f03f'
@@ -189,13 +189,21 @@ def _append(data, type_name, value):
             elements = value.get(field.name, field.default)
             if field.length is None:
                 elements = [elements]
+            elif isinstance(elements, (str, Mapping)) or not hasattr(elements, '__len__'):
+                raise CdrError(f'{field.name} of {type_name} must be a list, got {elements!r}')
             elif field.length == 0:
                 _append(data, 'uint32', len(elements))
             elif field.length != len(elements):
                 raise CdrError(f'{field.name} of {type_name} must have {field.length} elements, '
                                f'got {len(elements)}')
             for element in elements:
-                _append(data, field.type_name, element)
+                try:
+                    if element is True or element is False:
+                        raise TypeError
+                    _append(data, field.type_name, element)
+                except (AttributeError, TypeError, OverflowError, struct.error):
+                    raise CdrError(f'{field.name} of {type_name} must be a {field.type_name}, got '
+                                   f'{element!r}') from None
 
 
 class _Walk:
