@@ -49,6 +49,18 @@ def test_linters():
     assert not any(process.returncode for process in started), '\n'.join(told)
 
 
+def test_messages_of_the_program_are_found_and_have_no_full_stop():
+    spec = importlib.util.spec_from_file_location('messages', ROOT / 'doc' / 'messages.py')
+    script = importlib.util.module_from_spec(spec)
+    spec.loader.exec_module(script)
+    found = [text for path in sorted((ROOT / 'timo_sim').rglob('*.py'))
+             for _, text in script.messages(path)]
+    for text in ('{self.name} must be {self.rule}, got {short(value)}',  # raised
+                 'a callback failed: {error}', 'an alias, which ROS does not take'):  # called
+        assert text in found
+    assert not [text for text in found if text.endswith('.') and not text.endswith('...')]
+
+
 def test_licences_and_cited_equations():
     header = '# Copyright 2026 The timo_sim authors\n# SPDX-License-Identifier: Apache-2.0\n'
     assert not [path for folder in FOLDERS for path in (ROOT / folder).rglob('*.py')

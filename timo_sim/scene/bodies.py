@@ -113,7 +113,7 @@ def constraints_of(values: Mapping[str, Any]) -> Constraints:
     held, shaft = fixed_axes(values), values['motor.shaft']
     if held == 'both' and shaft != 'free' and modal_count(values) == 0:
         raise ParameterError(f'nothing can move: carrier.held = {values["carrier.held"]}, '
-                             f'motor.shaft = {shaft}, model.modes = 0')
+                             f'motor.shaft = {shaft}, model.modes = 0; change one of them')
     places = [0.0 if driven_along(values, axis) else values[f'initial.carrier_{axis}']
               for axis in 'xy']
     return Constraints(tuple(place if held in (axis, 'both') else None

@@ -116,7 +116,7 @@ def physical(values: Mapping[str, Any]) -> Iterator[None]:
     except ArithmeticError:
         raise ParameterError(
             'the values of this scene are too large or too small together: its equations of '
-            'motion or its initial energy are not finite') from None
+            'motion or its initial energy are not finite; check the units') from None
     except ParameterError:  # a ValueError that says already what to do
         raise
     except ValueError as error:

@@ -203,8 +203,8 @@ def _check_events(content):
             _refuse('an alias, which ROS does not take', event)
         if isinstance(event, yaml.ScalarEvent) and not event.style and (
                 re.fullmatch('[-+]?0[0-7]+', event.value)):
-            _refuse(f'{event.value}, which ROS reads as octal: write {int(event.value)}, or '
-                    f'{int(event.value, 8)} if you mean that', event)
+            _refuse(f'write {int(event.value)} or {int(event.value, 8)} for {event.value}, which '
+                    'ROS reads as octal', event)
         depth += isinstance(event, yaml.CollectionStartEvent)
         depth -= isinstance(event, yaml.CollectionEndEvent)
         if depth > _DEEPEST:

@@ -98,8 +98,8 @@ class Parameter:
         """
         Return the value converted to the parameter's type, or raise ParameterError.
 
-        A whole number is accepted for a float, and so is a text like '70.5e9', which is how YAML
-        1.1 reads a number without a sign in the exponent.
+        A whole number is accepted for a float, and so is a text like '70.5e9', which is how PyYAML
+        reads a number without a sign in the exponent.
         """
         if type(value) is float and self.low < value < self.high:  # the most frequent case
             if isinstance(self.default, float):
