@@ -180,9 +180,9 @@ def in_short():
                   'times ours from a loaded scene to a result, although our time then includes '
                   'the measured error. Rigid links, programmed by hand for this arm, take '
                   f'{links["seconds"][0]}, {links["seconds"][1]} and {links["seconds"][2]} times '
-                  'our steps. They measure no error: from scene to result they take '
-                  f'{links["whole_s"][0]}, {links["whole_s"][1]} and {links["whole_s"][2]} times '
-                  'ours. [How](doc/benchmark.md)'),
+                  'ours for the steps alone. They measure no error, so from scene to result they '
+                  f'take {links["whole_s"][0]}, {links["whole_s"][1]} and {links["whole_s"][2]} '
+                  'times ours. [How](doc/benchmark.md)'),
         ('real arms', f'{len(held)} fits to records of six laboratories predict the part of the '
                       f'record that was held out with R^2 from {shaft[0]:.2f} to {shaft[-1]:.2f} '
                       f'for the shaft and from {tip[0]:.2f} to {tip[-1]:.3f} for tip, strain or '
