@@ -13,7 +13,8 @@ from typing import Any
 import numpy as np
 
 from timo_sim.fitting.logs import read_log
-from timo_sim.fitting.record import Channel, INPUT_UNITS, OUTPUTS, Record, unit_of, UNITS
+from timo_sim.fitting.record import (
+    Channel, check_keys, INPUT_UNITS, OUTPUTS, Record, unit_of, UNITS)
 from timo_sim.fitting.response import response_of
 from timo_sim.fitting.table import read_table, SUFFIXES
 from timo_sim.scene.files import read_yaml
@@ -82,7 +83,7 @@ def read_record(path: str | Path,
 def _record(path, mapping, source):
     if isinstance(mapping, Mapping) and 'frequency' in mapping:
         return response_of(mapping, read_table(path), str(path))
-    _check_keys('a mapping', mapping, _ENTRIES)
+    check_keys('a mapping', mapping, _ENTRIES)
     table = cache(lambda name: read_table(path if name is None else path.parent / name))
     time, columns = _time_of(mapping, 'time'), mapping.get('columns')
     if not isinstance(columns, Mapping) or not columns:
@@ -97,7 +98,7 @@ def _record(path, mapping, source):
 
     for column, entry in columns.items():
         entry = {'quantity': entry} if isinstance(entry, str) else entry
-        _check_keys(f'columns: {column}', entry, _KEYS['columns'])
+        check_keys(f'columns: {column}', entry, _KEYS['columns'])
         name = entry.get('quantity')
         known = {**INPUT_UNITS, **OUTPUTS}
         if not isinstance(name, str) or name not in known:
@@ -127,7 +128,7 @@ def _time_of(entry, place):
     """Return what a mapping or a column has for `time`; a name or number is that of a column."""
     time = entry.get('time', {})
     time = {'column': time} if isinstance(time, str) or type(time) is int else time
-    _check_keys(place, time, _KEYS['time'])
+    check_keys(place, time, _KEYS['time'])
     return time
 
 
@@ -177,12 +178,3 @@ def _factor(entry, unit, base):
 
 def _entry(entry, name, default):
     return _RULES[name].check(entry[name]) if name in entry else default
-
-
-def _check_keys(place, entry, known):
-    if not isinstance(entry, Mapping):
-        raise ParameterError(f'{place} must have some of {", ".join(known)}, got {short(entry)}')
-    for key in entry:
-        if key not in known:
-            raise ParameterError(f'{place}: {short(key, str)} is not known: take '
-                                 f'{", ".join(known)}{did_you_mean(key, known)}')

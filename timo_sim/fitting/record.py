@@ -5,7 +5,7 @@
 
 from __future__ import annotations
 
-from collections.abc import Mapping
+from collections.abc import Collection, Mapping
 from dataclasses import dataclass, replace
 from typing import Any, Callable, NamedTuple
 
@@ -249,3 +249,13 @@ def _check_channel(name, channel, source, is_output):
         raise ParameterError(f'hold of {name} must be one of {", ".join(HOLDS)}, got '
                              f'{short(found.hold)} ({source})')
     return found
+
+
+def check_keys(place: str, entry: Any, known: Collection[str]) -> None:
+    """Raise ParameterError unless an entry of a mapping, named by its place, has known keys."""
+    if not isinstance(entry, Mapping):
+        raise ParameterError(f'{place} must have some of {", ".join(known)}, got {short(entry)}')
+    for key in entry:
+        if key not in known:
+            raise ParameterError(f'{place}: {short(key, str)} is not known: take '
+                                 f'{", ".join(known)}{did_you_mean(key, known)}')

@@ -15,15 +15,16 @@ import warnings
 import numpy as np
 
 from timo_sim.fitting.problem import Problem, sensor_of, TimeIsUp
-from timo_sim.fitting.record import Channel, DRIVE, INPUT_UNITS, OUTPUTS, Record, unit_of
+from timo_sim.fitting.record import (
+    Channel, check_keys, DRIVE, INPUT_UNITS, OUTPUTS, Record, unit_of)
 from timo_sim.model.layout import with_unit
 from timo_sim.runs.linear import linearize
-from timo_sim.scene.parameters import (
-    did_you_mean, ModelWarning, Parameter, ParameterError, short)
+from timo_sim.scene.parameters import ModelWarning, Parameter, ParameterError, short
 from timo_sim.scene.scene import Scene
 
 _KEYS = 'magnitude', 'phase', 'real', 'imaginary', 'unit', 'scale', 'coherence'
-_SCALE = Parameter('scale', 1.0, '', '')
+_RULES = {'scale': Parameter('scale', 1.0, '', ''),
+          'unit': Parameter('unit', 'dB', '', '', choices=('dB',))}
 _FEWEST = 5                # frequencies
 _MOST_COHERENT = 0.999     # more is not believed
 
@@ -65,23 +66,18 @@ def response_of(mapping: Mapping[str, Any], table: Any, source: str) -> Response
     frequency = numbers(mapping['frequency'])
     channels, weights = {}, {}
     for name, entry in outputs.items():
-        if not isinstance(entry, Mapping) or entry.get('unit', 'dB') != 'dB':
-            raise ParameterError(f'outputs: {name} must have some of {", ".join(_KEYS)}, with '
-                                 f'unit dB or none, got {short(entry)}')
-        for key in entry:
-            if key not in _KEYS:
-                raise ParameterError(f'outputs: {name}: {short(key, str)} is not known: take '
-                                     f'{", ".join(_KEYS)}{did_you_mean(key, _KEYS)}')
+        check_keys(f'outputs: {name}', entry, _KEYS)
+        rules = {each: _RULES[each].check(entry[each]) for each in entry.keys() & _RULES.keys()}
         if {'real', 'imaginary'} <= entry.keys():
             measured = numbers(entry['real']) + 1j * numbers(entry['imaginary'])
         elif {'magnitude', 'phase'} <= entry.keys():
             size = numbers(entry['magnitude'])
-            size = 10.0**(size / 20.0) if entry.get('unit') == 'dB' else size
+            size = 10.0**(size / 20.0) if 'unit' in rules else size
             measured = size * np.exp(1j * np.radians(numbers(entry['phase'])))
         else:
             raise ParameterError(f'outputs: {name} must have columns magnitude and phase [deg], '
                                  'or real and imaginary')
-        measured = measured * _SCALE.check(entry.get('scale', 1.0))
+        measured = measured * rules.get('scale', 1.0)
         sure = np.minimum(numbers(entry['coherence']), _MOST_COHERENT) if 'coherence' in entry \
             else np.full(len(frequency), 0.5)
         good = np.isfinite(measured) & (measured != 0.0) & (frequency > 0.0) & (sure > 0.0)
