@@ -186,9 +186,10 @@ def in_short():
         ('real arms', f'{len(held)} fits to records of six laboratories predict the part of the '
                       f'record that was held out with R^2 from {shaft[0]:.2f} to {shaft[-1]:.2f} '
                       f'for the shaft and from {tip[0]:.2f} to {tip[-1]:.3f} for tip, strain or '
-                      f'cart; {good} of them reach 0.95 for both. In blind tests on new records '
-                      f'the automatic fit reached 0.9 for {sum(r2 >= 0.9 for r2 in alone)} of '
-                      f'{len(alone)} outputs. [How](doc/real_arm.md)'))
+                      f'cart; {good} of the fits reach 0.95 for both outputs. In blind tests on '
+                      'new records the automatic fit reached an R^2 of 0.9 for '
+                      f'{sum(r2 >= 0.9 for r2 in alone)} of {len(alone)} outputs. '
+                      '[How](doc/real_arm.md)'))
 
 
 def _scene(part):
