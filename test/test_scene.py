@@ -79,8 +79,8 @@ def test_a_number_that_yaml_reads_as_octal_is_refused():
     for text in '010', '-017':
         with pytest.raises(timo_sim.ParameterError, match=f'{text}, which ROS reads as octal'):
             parse_yaml(f'arm: {{length: {text}}}', 'here')
-    assert parse_yaml("{a: '010', b: 0, c: 0.10, d: 10}", 'here') == {
-        'a': '010', 'b': 0, 'c': 0.1, 'd': 10}
+    assert parse_yaml("{a: '010', b: 0, c: 0.10, d: 10, e: !!str 010}", 'here') == {
+        'a': '010', 'b': 0, 'c': 0.1, 'd': 10, 'e': '010'}
 
 
 REFUSED = [

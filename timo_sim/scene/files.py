@@ -201,7 +201,7 @@ def _check_events(content):
     for event in yaml.parse(content, _Loader):
         if isinstance(event, yaml.AliasEvent):
             _refuse('an alias, which ROS does not take', event)
-        if isinstance(event, yaml.ScalarEvent) and not event.style and (
+        if isinstance(event, yaml.ScalarEvent) and event.implicit[0] and (
                 re.fullmatch('[-+]?0[0-7]+', event.value)):
             _refuse(f'write {int(event.value)} or {int(event.value, 8)} for {event.value}, which '
                     'ROS reads as octal', event)
