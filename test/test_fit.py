@@ -595,8 +595,8 @@ def test_bad_arguments():
 
 
 BAD_RECORDS = [
-    ({'torqe': (T, T)}, SHAFT, 'torqe is no input of a record: .*did you mean torque'),
-    ({}, {'tip': (T, T)}, 'tip is no output of a record'),
+    ({'torqe': (T, T)}, SHAFT, 'inputs of .*: torqe is not known: .*did you mean torque'),
+    ({}, {'tip': (T, T)}, 'outputs of .*: tip is not known'),
     ({}, {}, 'a record must have an output'),
     ({}, {'shaft': (T, T[:-1])}, 'shaft must have as many times as values'),
     ({}, {'shaft': (T[::-1], T)}, 'times of shaft must ascend, got 3 s and then 2.998 s'),

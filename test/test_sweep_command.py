@@ -152,7 +152,7 @@ def test_random_values_fill_their_ranges_and_repeat_with_their_seed(write):
 BAD_FILES = [
     ({}, 'one of runs, grid, random; got scene, duration, parameters'),
     ({'grid': {'model.modes': [1]}, 'runs': [{}]}, 'one of runs, grid, random'),
-    ({'grids' * 99: {}}, "got ['gridsgrids"),
+    ({'grids' * 99: {}}, 'a sweep: gridsgrids'),
     ({'scene': None, 'runs': [{}]}, 'must have a scene'),
     ({'scene': 'none.yaml', 'runs': [{}]}, 'none.yaml'),
     ({'scene': [3] * 99, 'runs': [{}]}, 'scene must be the name of a file, or parameters, got [3'),

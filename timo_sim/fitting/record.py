@@ -5,7 +5,7 @@
 
 from __future__ import annotations
 
-from collections.abc import Collection, Mapping
+from collections.abc import Mapping
 from dataclasses import dataclass, replace
 from typing import Any, Callable, NamedTuple
 
@@ -13,7 +13,7 @@ import numpy as np
 
 from timo_sim.model.layout import INPUTS
 from timo_sim.scene.parameters import (
-    checked, did_you_mean, MAPPING, NUMBER, ParameterError, short, TEXT)
+    check_keys, checked, MAPPING, NUMBER, ParameterError, short, TEXT)
 from timo_sim.topics.outputs import SENSORS
 
 DRIVE = 'drive'
@@ -149,11 +149,8 @@ class Record:
         outs: dict[str, Channel] = {}
         rules: Any = (ins, inputs, INPUT_UNITS, 'input'), (outs, outputs, OUTPUTS, 'output')
         for kept, given, known, kind in rules:
+            check_keys(f'{kind}s of {source}', given, known)
             for name, channel in given.items():
-                if name not in known:
-                    raise ParameterError(f'{short(name, str)} is no {kind} of a record: take '
-                                         f'{", ".join(known)}{did_you_mean(name, known)} '
-                                         f'({source})')
                 kept[name] = _check_channel(name, channel, source, kind == 'output')
         if not outs:
             raise ParameterError(f'a record must have an output, one of {", ".join(OUTPUTS)} '
@@ -177,10 +174,7 @@ class Record:
 
     def select(self, *outputs: str) -> Record:
         """Return the record with these outputs alone; ParameterError if it has not got one."""
-        for name in outputs:
-            if not isinstance(name, str) or name not in self.outputs:
-                raise ParameterError(f'{short(name, str)} is no output of this record: take '
-                                     f'{", ".join(self.outputs)} ({self.source})')
+        check_keys(f'outputs of {self.source}', dict.fromkeys(map(str, outputs)), self.outputs)
         return replace(self, outputs={name: self.outputs[name] for name in outputs})
 
     @checked(start=NUMBER, end=(lambda end: float(end) > 0.0, 'a number > 0'))
@@ -249,13 +243,3 @@ def _check_channel(name, channel, source, is_output):
         raise ParameterError(f'hold of {name} must be one of {", ".join(HOLDS)}, got '
                              f'{short(found.hold)} ({source})')
     return found
-
-
-def check_keys(place: str, entry: Any, known: Collection[str]) -> None:
-    """Raise ParameterError unless an entry of a mapping, named by its place, has known keys."""
-    if not isinstance(entry, Mapping):
-        raise ParameterError(f'{place} must have some of {", ".join(known)}, got {short(entry)}')
-    for key in entry:
-        if key not in known:
-            raise ParameterError(f'{place}: {short(key, str)} is not known: take '
-                                 f'{", ".join(known)}{did_you_mean(key, known)}')

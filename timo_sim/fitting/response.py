@@ -15,11 +15,11 @@ import warnings
 import numpy as np
 
 from timo_sim.fitting.problem import Problem, sensor_of, TimeIsUp
-from timo_sim.fitting.record import (
-    Channel, check_keys, DRIVE, INPUT_UNITS, OUTPUTS, Record, unit_of)
+from timo_sim.fitting.record import Channel, DRIVE, INPUT_UNITS, OUTPUTS, Record, unit_of
 from timo_sim.model.layout import with_unit
 from timo_sim.runs.linear import linearize
-from timo_sim.scene.parameters import ModelWarning, Parameter, ParameterError, short
+from timo_sim.scene.parameters import (
+    check_keys, ModelWarning, Parameter, ParameterError, short)
 from timo_sim.scene.scene import Scene
 
 _KEYS = 'magnitude', 'phase', 'real', 'imaginary', 'unit', 'scale', 'coherence'

@@ -32,7 +32,8 @@ from timo_sim.runs.run import run_scene
 from timo_sim.runs.simulate import measure_error, resolve
 from timo_sim.scene.files import flatten, read_yaml
 from timo_sim.scene.parameters import (
-    check, checked, Parameter, ParameterError, PARAMETERS, SCENE, short, steps_in, TEXT, warn)
+    check, check_keys, checked, Parameter, ParameterError, PARAMETERS, SCENE, short, steps_in,
+    TEXT, warn)
 from timo_sim.scene.scene import load_scene, Scene, SceneLike
 from timo_sim.simulation.batch import Batch, lane_size
 from timo_sim.simulation.warnings import unseen_load
@@ -391,9 +392,7 @@ def read_plan(path: Path | str) -> Plan:
 def _plan(content, folder):
     kinds = {'runs': _runs, 'grid': _grid, 'random': _random}
     entries = ('scene', 'parameters', 'duration', *kinds)
-    if not isinstance(content, dict) or not set(content) <= set(entries):
-        shown = [*set(content) - set(entries)] if isinstance(content, dict) else content
-        raise ParameterError(f'a sweep has the entries {", ".join(entries)}; got {short(shown)}')
+    check_keys('a sweep', content, entries)
     kind, *others = [*kinds.keys() & content.keys()] or ['']
     if others or not kind or 'scene' not in content:
         raise ParameterError('a sweep must have a scene and one of runs, grid, random; got '

@@ -166,6 +166,16 @@ def did_you_mean(name: Any, names: Iterable[str]) -> str:
     return f'; did you mean {close[0]}?' if close else ''
 
 
+def check_keys(place: str, entry: Any, known: Collection[str]) -> None:
+    """Raise ParameterError unless an entry of a mapping, named by its place, has known keys."""
+    if not isinstance(entry, Mapping):
+        raise ParameterError(f'{place} must have some of {", ".join(known)}, got {short(entry)}')
+    for key in entry:
+        if key not in known:
+            raise ParameterError(f'{place}: {short(key, str)} is not known: take '
+                                 f'{", ".join(known)}{did_you_mean(key, known)}')
+
+
 def whole_ratio(name: str, value: float, unit_name: str, unit: float) -> int:
     """Return value / unit, whole to 1e-6 or round-off, or raise ParameterError."""
     ratio = value / unit
