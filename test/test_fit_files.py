@@ -19,7 +19,7 @@ import yaml
 
 import timo_sim
 from timo_sim.fitting.logs import read_log
-from timo_sim.fitting.table import read_table
+from timo_sim.log.columns import read_table
 
 T = 0.01 * np.arange(200)
 ANGLE, TORQUE = np.sin(T), np.cos(3.0 * T)

@@ -14,7 +14,7 @@ import yaml
 
 from timo_sim.control.shaping import Shaper
 from timo_sim.fitting.mapping import read_record
-from timo_sim.fitting.table import read_table, SUFFIXES
+from timo_sim.log.columns import read_table, SUFFIXES
 from timo_sim.log.tables import write_table
 from timo_sim.scene.files import read_yaml, whole_file
 from timo_sim.scene.parameters import ParameterError, short

@@ -33,16 +33,14 @@ for _sensor in _MEASURING:
     _OUTPUTS.setdefault(_sensor.measured, []).insert(0, (_sensor.topic, _sensor.columns[-1]))
 
 
-def read_log(path: str | Path, scene: Scene | None = None,
-             node: str | None = None) -> tuple[Scene, Record]:
+def read_log(path: str | Path, scene: Scene | None = None) -> tuple[Scene, Record]:
     """
     Return `scene`, by default that of a log, and the log's Record after its last reset.
 
-    A plain bag needs `scene`; for `node` see `Recording`. Raises LogError if the file is not a
-    log, or has nothing to replay; ParameterError if it has what a record cannot: settings, or
-    forces in the axes of the arm.
+    A plain bag needs `scene`. Raises LogError if the file is not a log, or has nothing to replay;
+    ParameterError if it has what a record cannot: settings, or forces in the axes of the arm.
     """
-    recording = Recording(path, node)
+    recording = Recording(path)
     own = recording.scene or scene
     if own is None:
         raise ParameterError(f'scene must be given with {path}, a plain bag, which has none')

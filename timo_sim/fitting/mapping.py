@@ -15,7 +15,7 @@ import numpy as np
 from timo_sim.fitting.logs import read_log
 from timo_sim.fitting.record import Channel, INPUT_UNITS, OUTPUTS, Record, unit_of, UNITS
 from timo_sim.fitting.response import response_of
-from timo_sim.fitting.table import read_table, SUFFIXES
+from timo_sim.log.columns import read_table, SUFFIXES
 from timo_sim.scene.files import read_yaml
 from timo_sim.scene.parameters import (
     check_keys, checked, did_you_mean, Parameter, ParameterError, PATH, short)

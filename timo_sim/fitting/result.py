@@ -28,7 +28,7 @@ from timo_sim.fitting.posterior import Posterior, Samples
 from timo_sim.fitting.response import problem_of, Response
 from timo_sim.fitting.search import INTERRUPTED, NUMERICAL, Search
 from timo_sim.fitting.suspects import name_suspects, Suspect, suspects
-from timo_sim.fitting.table import SUFFIXES
+from timo_sim.log.columns import SUFFIXES
 from timo_sim.runs.run import Run
 from timo_sim.scene.files import scene_text, whole_file
 from timo_sim.scene.parameters import (

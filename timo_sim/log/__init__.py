@@ -4,5 +4,6 @@
 """
 Runs on disk: MCAP files that ros2 bag, rerun and other readers open, and tables of them.
 
-This package may import `topics`, `scene` and what is below them. Nothing here needs ROS.
+`columns` reads tables that others wrote. This package may import `topics`, `scene` and what is
+below them. Nothing here needs ROS.
 """
