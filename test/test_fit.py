@@ -235,6 +235,11 @@ def test_guesses_with_widths_give_the_posterior_in_closed_form():
     assert list(found.values) == ['shaft.bias'] and 'from your guess' in found.report()
     drawn = found.sample(1000).values
     assert np.std(drawn['initial.shaft'] + drawn['shaft.bias']) == pytest.approx(1e-3, rel=0.1)
+    # Far from its guess a value is not from there, however little the record narrows it.
+    record.outputs['shaft'].values[:] += 2.0
+    far = timo_sim.fit(ARM, record, [f'initial.shaft={a}~{wide_a}', f'shaft.bias~{wide_b}'])
+    assert not far.estimates['initial.shaft'].identified
+    assert 'no interval' in far.report() and 'from your guess' not in far.report()
 
 
 def test_what_the_field_knows_is_the_usual_width():

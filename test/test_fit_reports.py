@@ -313,6 +313,7 @@ def test_what_a_scene_does_not_hold_of_inputs_is_told():
     text, = (each for each in found.warnings if 'does not hold' in each)
     gain = float(text.split('voltage.gain = ')[1].split(':')[0])
     assert gain == pytest.approx(2.0, rel=0.05) and text in found.report()
+    assert text.endswith(': multiply it by its gain, before an input goes to the scene')
 
 
 def test_inputs_whose_rates_are_limited_are_not_limited_again():

@@ -53,6 +53,9 @@ _RUNS, _RUNS_AFTER = 30, 6  # of a fit, and after its search, for each free para
 _KEPT = 0.5  # most of the time of a fit that is kept for these
 _FOR_EFFECTS = 0.6  # part of the time of a fit in which effects are tried
 _MAX_NUMERICAL = 0.2  # part of a residual that may be numerical error
+# What makes an input of a record that of a scene, in this order, see `SENSOR`.
+_TO_AN_INPUT = {'dead_zone': 'take off its dead zone', 'gain': 'multiply it by its gain',
+                'bias': 'add its bias', 'delay': 'delay it', 'lag': 'let it lag'}
 
 
 @dataclass(frozen=True)
@@ -61,7 +64,8 @@ class Estimate:
     A fitted parameter with its 95 % interval, `low` to `high`; NaN if it is not identified.
 
     The interval alone is NaN where the fit was stopped before it. A parameter of whose guess the
-    record leaves more than half the width is `from_guess` and counts as not identified.
+    record leaves more than half the width counts as not identified; it is `from_guess` if it has
+    stayed within two of these widths.
 
     `deviation` is the standard deviation; of a positive parameter that of its logarithm times its
     value. `start` is the first guess; `bound` is 'low' or 'high' if it is at this bound, else ''.
@@ -208,7 +212,7 @@ class Fit(Prediction):
         for name, each in self.estimates.items():
             interval = ('from your guess' if each.from_guess
                         else 'not known' if math.isnan(each.low)
-                        else 'no interval' if self.misfit > MANY
+                        else 'no interval' if self.misfit > MANY or not each.identified
                         else f'{each.low:.5g} to {each.high:.5g}')
             shown = (f'{"not identified by this record":>38}' if math.isnan(each.value)
                      else f'{each.value:>11.5g}  {interval:>25}')
@@ -539,7 +543,8 @@ def _find_intervals(search, phases, quick):
             value=value, low=low, high=high, start=free.start, unit=free.unit,
             deviation=half / NORMAL * (value if free.log else free.scale),
             identified=identified[k], profile=k in profiles,
-            from_guess=known and not identified[k], bound=next(
+            from_guess=known and not identified[k] and bool(
+                abs(at - free.coordinate(free.start)) < NORMAL * free.width), bound=next(
                 (name for name, edge in edges.items() if abs(at - edge) < _AT_BOUND), ''))
     lost = {name for name, each in estimates.items() if not each.identified}
     return _Found(
@@ -674,8 +679,9 @@ def _find_doubts(estimates, problem, values):
         ' (not identified)' if name in estimates and not estimates[name].identified else '')
         for name, value in values.items() if name.rpartition('.')[0] in problem.record.inputs)
     if inputs:
-        yield (f'the fitted scene does not hold {inputs}: take its dead zone off an input, '
-               'multiply it by its gain, add its bias and delay it before it goes to the scene')
+        to_do = [text for kind, text in _TO_AN_INPUT.items() if f'.{kind} = ' in inputs]
+        yield (f'the fitted scene does not hold {inputs}: {", ".join(to_do)}, before an input '
+               'goes to the scene')
     at_bound = [name for name, each in estimates.items() if each.bound]
     if at_bound:
         yield f'at a bound, so that intervals do not hold: {", ".join(at_bound)}'

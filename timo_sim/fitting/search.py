@@ -148,7 +148,7 @@ class Search:
             x = self._solve(_LOOSE, x).x
             change = self.objective.estimate_deviations(x)
             self._tell(f'search {number} of up to {_MAX_SEARCHES}: its residuals change the '
-                       f'standard deviations of the sensors by {change:.2g}')
+                       f'standard deviations of the sensors by {100.0 * change:.2g} %')
             if change < enough:
                 break
         return x
