@@ -128,7 +128,7 @@ def choose(scene: Scene, free: list[str], objective_of: Callable[[Scene, list[st
                 keep(sure.scene, str(values))
                 own = {**sure.scene.values, **values}
                 found = [each for each in suspects(  # an effect may vanish as it is fitted
-                    objective, x, *search.weighted(x), _SUSPECTS, predicted)
+                    objective, x, _SUSPECTS, predicted)
                     if each.ratio < math.inf and each.effect.changes(own, *each.sizes)]
                 tried = [f'    with {each.name}: {each.ratio * error:.2%}' for each in found]
                 say('\n'.join(['tried', *tried]))

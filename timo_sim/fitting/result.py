@@ -474,9 +474,8 @@ def fit(scene: SceneLike | None, record: RecordLike | Sequence[RecordLike],
             1.0 - each.r_squared > NUMERICAL for prediction in predictions
             for each in prediction.errors.values()):
         likely = phases.attempt(
-            'what the residuals look like is', lambda: suspects(
-                objective, search.x, known.posterior.jacobian, known.posterior.residuals),
-            [], 'what the residuals look like')
+            'what the residuals look like is', lambda: suspects(objective, search.x), [],
+            'what the residuals look like')
         phases.doubts[bool(search.stopped):bool(search.stopped)] = name_suspects(likely)
     first, *more = predictions
     result = Fit(

@@ -249,12 +249,6 @@ class Search:
         fall = slope @ np.linalg.lstsq(jacobian.T @ jacobian, slope)[0]
         return Minimum(end.cost, end.x, float(fall) / (2.0 * end.cost or 1.0))
 
-    def weighted(self, x: np.ndarray) -> tuple[np.ndarray, np.ndarray]:
-        """Return weighted derivatives of the residuals at x, (n, p), roughly, and these, (n,)."""
-        rows = self.objective.residuals(x)
-        root = self.objective.weights(rows)
-        return root[:, np.newaxis] * self.objective.jacobian(x, _WIDE, False), root * rows
-
     def derivatives(self) -> tuple[np.ndarray, list[str]]:
         """Return the weighted derivatives of all residuals at the end, (n, p), and what jumps."""
         objective, x = self.objective, self.x

@@ -44,7 +44,7 @@ _INNER = 2.0 / 3.0  # part of what is fitted to which suspects are fitted; the r
 BETTER = 0.9  # ratio of errors there, below which a suspect predicts better
 _FINE = 1e-3  # error, of the spread of an output, below which others count for more
 _WORTHWHILE, _BENT = 0.5, 0.2  # share, of the largest, above which effects are fitted
-_STEP, _TOLERANCE, _MAX_RUNS = 1e-3, 1e-3, 25  # of these fits, as of `least_squares`
+_STEP, _TOLERANCE, _MAX_RUNS = 1e-3, 1e-3, 25  # of differences and fits, see `least_squares`
 _STRETCHED, _CLAMP, _DEAD = (0.1, 1.0), (0.1, 0.5), (0.02, 0.1)  # of usual sizes
 _HELD, _HELD_MOST, _HELD_FITS = 0.01, math.log(3.0), 4  # logarithms of factors; fits
 _NEARLY, _LITTLE = 3.0, 0.1  # what a held value leaves, to first order, up to which it is fitted
@@ -98,19 +98,20 @@ class Suspect(NamedTuple):
     x: Any = None                # where a fit with it to the first two thirds ended, if there was
 
 
-def suspects(objective: Objective, x: np.ndarray, jacobian: np.ndarray,
-             residuals: np.ndarray, most: int = 0, plain: Any = None) -> list[Suspect]:
+def suspects(objective: Objective, x: np.ndarray, most: int = 0,
+             plain: Any = None) -> list[Suspect]:
     """
     Return the Suspects of a fit that has ended at x, that of the largest share first.
 
-    `jacobian`, (n, p), and `residuals`, (n,), are weighted ones there. The likely ones, or as many
-    as `most`, are fitted; `plain` is what `predict` finds without them, if it is known.
+    The likely ones, or as many as `most`, are fitted; `plain` is what `predict` finds without
+    them, if it is known.
     """
     problem = objective.problems[0]
     if np.any(np.abs(here := objective.residuals(x)) >= DIVERGED):
         return []
-    (free, _), root = np.linalg.qr(jacobian), objective.weights(here)
-    left = residuals - free @ (free.T @ residuals)
+    root = objective.weights(here)
+    free, _ = np.linalg.qr(root[:, np.newaxis] * objective.jacobian(x, _STEP, False))
+    left = root * here - free @ (free.T @ (root * here))
     found, tried = list[Suspect](), list[Any]()
     sided = most and moves_one_way(problem)  # then what pushes to a side looks like others
     for effect in (*_effects(objective, x), *([] if most else _held_values(
