@@ -41,10 +41,9 @@ def begin_with(scene: Scene, record: Record,
     """
     given = {name: value for name, value, _ in map(split_guess, free)}
     changes, more, told = {}, [], []
-    if isinstance(record, Response):  # it begins at rest
+    if isinstance(record, Response) or scene.values['initial.equilibrium']:  # it begins at rest
         return changes, more, told
-    still = [*zip(JOINTS, scene.build().constrained)]
-    for joint, held in [] if scene.values['initial.equilibrium'] else still:
+    for joint, held in zip(JOINTS, scene.build().constrained):
         if held or joint not in record.outputs or f'{joint}.bias' in given:
             continue
         channel = record.outputs[joint]

@@ -89,12 +89,6 @@ def _record(path, mapping, source):
         raise ParameterError('columns must say which columns are which quantities, got '
                              + short(columns))
     inputs, outputs, begun = {}, {}, []
-
-    def origin(value):
-        # The first stamp is subtracted from all, because it may take most of their digits.
-        begun.append(value)
-        return begun[0]
-
     for column, entry in columns.items():
         entry = {'quantity': entry} if isinstance(entry, str) else entry
         check_keys(f'columns: {column}', entry, _KEYS['columns'])
@@ -112,7 +106,7 @@ def _record(path, mapping, source):
         factor = _factor(f'columns: {column}', entry.get('unit'), unit_of(name))
         factor *= _entry(entry, 'scale', 1.0)
         own = _time_of(entry, f'columns: {column}: time')
-        t = _times({**time, **own}, file, table, len(values), origin)
+        t = _times({**time, **own}, file, table, len(values), begun)
         with np.errstate(over='ignore'):  # what is not finite is left out
             values = factor * values + _entry(entry, 'offset', 0.0)
         noise = abs(factor) * _entry(entry, 'noise', None) if 'noise' in entry else None
@@ -131,8 +125,8 @@ def _time_of(entry, place):
     return time
 
 
-def _times(entry, file, table, count, origin):
-    """Return times in s, shape (count,), from the first stamp of all."""
+def _times(entry, file, table, count, begun):
+    """Return times in s, shape (count,), from the first stamp of all, the first in `begun`."""
     if 'period' in entry:
         with np.errstate(over='ignore'):
             return _entry(entry, 'period', None) * np.arange(count)
@@ -150,8 +144,10 @@ def _times(entry, file, table, count, origin):
         values = (values.astype(np.int64) if values.dtype.kind in 'iu'
                   else _numbers(values, entry['column']))
     good = np.flatnonzero(np.isfinite(values))
+    # The first stamp is subtracted from all, because it may take most of their digits.
+    begun.append(values[good[0] if len(good) else 0])
     try:
-        since = values - origin(values[good[0] if len(good) else 0])
+        since = values - begun[0]
         return since / np.timedelta64(1, 's') if stamps else since * _factor('time', unit, 's')
     except TypeError:
         raise ParameterError('time must have stamps for all columns or for none') from None

@@ -617,14 +617,12 @@ def read_scene_and_records(
 
 
 def _read(scene, record, mapping):
-    if isinstance(record, Record):
+    known = isinstance(record, Record)
+    if known or Path(record).suffix in SUFFIXES or mapping is not None:
         if scene is None:
-            raise ParameterError('scene must be given with a Record')
-        return load_scene(scene), record
-    if Path(record).suffix in SUFFIXES or mapping is not None:
-        if scene is None:
-            raise ParameterError(f'scene must be given with {record}, which has none')
-        return load_scene(scene), read_record(record, mapping)
+            place = 'a Record' if known else record
+            raise ParameterError(f'scene must be given with {place}, which has none')
+        return load_scene(scene), record if known else read_record(record, mapping)
     return read_log(record, None if scene is None else load_scene(scene))
 
 

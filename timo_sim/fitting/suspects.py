@@ -280,9 +280,9 @@ def _effects(objective: Objective, x: np.ndarray) -> Iterator[_Effect]:
     if not any(own['gravity']):
         yield _Effect('gravity, as of a tilted plane', _TILTED,
                       [[size, size] for size in _GRAVITY], both)
-    early = {name for name in {**problem.record.inputs, **problem.record.outputs}
-             if name != DRIVE and f'{name}.delay' not in values}
-    for name, channel in {**problem.record.inputs, **problem.record.outputs}.items():
+    channels = {**problem.record.inputs, **problem.record.outputs}
+    early = {each for each in channels if each != DRIVE and f'{each}.delay' not in values}
+    for name, channel in channels.items():
         steps, size = [[count * step] for count in _DELAYS], np.abs(channel.values).max()
         for kind, text, trials, low in (
                 ('delay', 'a delay of', steps, 0.0), ('lag', 'a lag of', steps, 0.0),
