@@ -46,8 +46,9 @@ class Columns:
             return self._columns[places[0]][1]
         name, _, number = str(key).rpartition(':')
         for names, values in self._columns:
+            # The series in a matrix are its columns, or its rows if they are longer.
             if name in names and values.ndim == 2 and number.isdigit() and (
-                    int(number) < len(series := _series(values))):
+                    int(number) < len(series := min(values.T, values, key=len))):
                 return series[int(number)]
         shown = [' '.join(names) or str(place) for place, (names, _) in enumerate(self._columns)]
         raise ParameterError(f'{short(key, str)} is no column of the table; it has '
@@ -60,11 +61,6 @@ def read_table(path: Path) -> Columns:
         raise ParameterError(f'{path} is not a file')
     readers = {'.parquet': _read_parquet, '.mat': _read_mat}
     return readers.get(path.suffix, _read_text)(path)
-
-
-def _series(matrix):
-    """Return the series in a matrix: its columns, or its rows if they are longer."""
-    return matrix if matrix.shape[0] < matrix.shape[1] else matrix.T
 
 
 def _read_parquet(path):
