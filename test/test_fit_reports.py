@@ -275,6 +275,23 @@ def test_an_effect_whose_fit_is_not_better_goes_and_one_that_was_tried_when_time
     assert stops or found.ladder[-1].startswith('an elastic gear: ')  # which is the next best
 
 
+def test_presliding_is_fitted_from_ways_of_the_motion(monkeypatch):
+    """What it would explain to first order says nothing about its way."""
+    dry, ways = {'motor.coulomb_friction': 0.06, 'motor.coulomb_speed': 0.2, 'model.modes': 0}, []
+    problem = Problem(ARM.vary(dry), record({**dry, 'motor.coulomb_presliding': 0.02}).select(
+        'shaft'), ['motor.shaft_inertia', 'motor.coulomb_friction'], {}, T[-1])
+
+    def predict(objective, x, effect=None, sizes=(), predict=suspects.predict):
+        ways.extend(sizes[:1] if effect and 'presliding' in effect.name else [])
+        return predict(objective, x)._replace(sizes=sizes)
+
+    monkeypatch.setattr(suspects, 'predict', predict)
+    objective = Objective([problem])
+    suspects.suspects(objective, objective.start, 6)
+    spread = problem.run(objective.values(objective.start, 0)).shaft.std()
+    assert sorted(ways) == pytest.approx([0.005 * spread, 0.05 * spread])
+
+
 def test_no_interval_is_printed_where_the_model_lacks_much():
     """Of an arm with much dry friction, which the second half of the record shows alone."""
     held = np.where(T < 1.0, VOLTAGE, 0.15 * VOLTAGE)

@@ -116,7 +116,7 @@ def suspects(objective: Objective, x: np.ndarray, most: int = 0,
     sided = most and moves_one_way(problem)  # then what pushes to a side looks like others
     for effect in (*_effects(objective, x), *([] if most else _held_values(
             problem, objective.values(x, 0)))):
-        of_trials = []
+        of_trials, guesses = [], len(effect.shape) > 0 and len(effect.trials) > 1
         if sided and effect.free and effect.free[0].endswith(_TO_A_SIDE) and (
                 effect.free[0].rpartition('.')[0] not in problem.record.outputs):
             continue
@@ -133,9 +133,10 @@ def suspects(objective: Objective, x: np.ndarray, most: int = 0,
                 rest, possible = left + columns @ factors, effect.low < 0.0 or factors[0] >= 0.0
                 share = float(1.0 - (rest @ rest) / (left @ left)) if possible else 0.0
                 of_trials.append((share, effect, np.append(
-                    np.maximum(factors, effect.low) * sizes, effect.shape)))
-        # The first order does not tell the size of what bends and has a shape, as presliding.
-        tried += sorted(of_trials, key=lambda each: -each[0])[:2 if len(effect.shape) else 1]
+                    sizes if guesses else np.maximum(factors, effect.low) * sizes, effect.shape)))
+        # The first order does not tell the size of what bends and has a shape, as presliding: a
+        # fit begins at each of its trials.
+        tried += sorted(of_trials, key=lambda each: -each[0])[:None if guesses else 1]
     tried.sort(key=lambda each: -each[0])
     own = {**problem.scene.values, **objective.values(x, 0)}
     # Of held values that explain about as much, as a length and a stiffness do, a few are fitted.
