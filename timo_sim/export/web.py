@@ -144,8 +144,9 @@ def _scene(name: str, scene: Scene, estimate: bool) -> dict[str, Any]:
 
 def _blocks(made):
     """
-    Return the constants: symbol, offset and length [B]; of propagators size and step [s]; and
-    where among them the scene's own loads are, from and to [B]. All are 0 for other constants.
+    Return the constants: symbol, offset and length [B], and four numbers, 0 for other constants.
+
+    They are size and step [s] of propagators, and from and to [B] of the scene's own loads.
     """
     steps = {id(each): model.step for model in made.models for each in model.parts[1]}
 
