@@ -134,6 +134,25 @@ BLIND = [
     Case('blind_prague', 'Prague, full feedback',
          f'{_SERIAL}/quanser_updated/Results/data_fsf_Im1.mat', 'blind_prague_columns.yaml',
          'prague.yaml'),
+    # The second blind test.
+    Case('blind_lisbon_2016', 'Lisbon, a third unit',
+         'CC-Lab/cc_lab2/4a_sim_prbs_fa_150Hz/workspace.mat', 'blind_lisbon_2016_columns.yaml',
+         'blind_lisbon.yaml', other=('CC-Lab/cc_lab2/5a_sim_prbs_b_0.2/workspace.mat',
+                               'blind_lisbon_2016_columns.yaml')),
+    Case('blind_lisbon_2018', 'Lisbon, a fourth unit', 'CC/lab2_pbrs3.mat',
+         'blind_lisbon_2018_columns.yaml', 'blind_lisbon.yaml',
+         other=('CC/lab2_pbrs2.mat', 'blind_lisbon_2018_columns.yaml')),
+    Case('blind_leuven', 'Leuven', 'QNN/data/robot_arm.dat', 'blind_leuven_columns.yaml',
+         'blind_leuven.yaml', step=0.002),
+    Case('blind_yverdon', 'Yverdon',
+         'matlab-scripts/heig-vd/regul/labos/lame-flexible/data/SBPA_lame.mat',
+         'blind_yverdon_columns.yaml', 'blind_yverdon.yaml', step=0.002),
+    Case('blind_partial', 'Prague, partial feedback',
+         f'{_SERIAL}/quanser_updated/Results/data_psf_Im1.mat', 'blind_partial_columns.yaml',
+         'prague.yaml'),
+    Case('blind_rates', 'Boulder, feedback of one rate', f'{_LAB_6}/flexarm_K1K2K3_6_-3_213',
+         'blind_rates_columns.yaml', 'boulder_213.yaml',
+         other=(f'{_LAB_6}/flexarm_K1K2K3k4_6_-3_213_2', 'blind_rates_columns.yaml')),
 ]
 
 
@@ -296,9 +315,12 @@ def lumped(t, inputs, values):
 def textbook(case, parts):
     """Return R^2 by output, (fitted, held out), of the lumped model, if it has the input."""
     drive = next(iter(parts[0][0].inputs), None)
-    if drive not in DRIVES:
+    if drive not in (*DRIVES, 'tip_force_y'):
         return None
-    shaft, tip = parts[0][0].outputs
+    # A force on the tip is that on an arm whose shaft, a million times as heavy, stands still.
+    *shaft, tip = parts[0][0].outputs
+    heavy, pushed = (1e6, 1) if drive == 'tip_force_y' else (1.0, 0)
+    period = min(0.002, case.step / 2.0)
     size = {name: np.std(channel.values) for name, channel in parts[0][0].outputs.items()}
     # Of unit inertia of the shaft, because only ratios show. Frequencies begin with several
     # guesses, against local minima.
@@ -312,12 +334,12 @@ def textbook(case, parts):
     def predicted(x, record, end=np.inf):
         spring, arm, friction, damping, gain, sensor, push = np.exp(x[:7].clip(-8.0, 12.0))
         bias, late, delay, level, first = x[7:]
-        t = np.arange(0.0, min(end, record.duration) + 0.002, 0.002)
+        t = np.arange(0.0, min(end, record.duration) + period, period)
         torques = np.zeros((len(t), 2))
-        torques[:, 0] = gain * (held(record, drive, t - late) + bias)
+        torques[:, pushed] = gain * (held(record, drive, t - late) + bias)
         if 'tip_torque' in record.inputs:
             torques[:, 1] = push * held(record, 'tip_torque', t)
-        found = lumped(t, torques, [spring, 1.0, arm, friction, damping, first])
+        found = lumped(t, torques, [spring, heavy, arm, heavy * friction, damping, first])
         t_tip = record.outputs[tip].t - delay
         bent = sensor * np.interp(t_tip, t, found[:, 1]) + level
         if tip == 'tip_x':
@@ -325,7 +347,8 @@ def textbook(case, parts):
         elif tip == 'tip_acceleration':
             rates = np.gradient(np.gradient(found.sum(axis=1), t), t)
             bent = sensor * np.interp(t_tip, t, rates) + level
-        return {shaft: np.interp(record.outputs[shaft].t, t, found[:, 0]), tip: bent}
+        return {**{name: np.interp(record.outputs[name].t, t, found[:, 0]) for name in shaft},
+                tip: bent}
 
     def residuals(x, end):
         record = parts[0][0]
@@ -342,10 +365,10 @@ def textbook(case, parts):
     # A cart is heavier than its arm, and follows its voltage as a speed.
     arm, friction, sensor = (0.1, 100.0, 1.0) if tip == 'tip_x' else (
         2.0, 10.0, size[tip] / (50.0 if tip == 'tip_acceleration' else 0.05))
-    for hertz in np.geomspace(0.5, 12.0, 20):
+    for hertz in np.geomspace(0.5, 12.0 if shaft else 100.0, 20):
         x = np.log([(2 * np.pi * hertz)**2 * arm, arm, friction, 0.1, 100.0, sensor, 10.0])
         x = np.concatenate([x, [0.0, 0.0, 0.0], [parts[0][0].outputs[name].values[0]
-                                                 for name in (tip, shaft)]])
+                                                 for name in (tip, *shaft)], [0.0] * (not shaft)])
         for end in (0.5 * half, half):
             found = least_squares(residuals, x, args=(end,), bounds=bounds, x_scale='jac',
                                   max_nfev=40)
@@ -579,6 +602,7 @@ def choose_effects(case):
             line.partition(':')[0] for line in found.ladder[1:] if not line.startswith(' ')
             and ' tried: ' not in line], 'stopped': ' tried: ' in found.ladder[-1]}
     if case in BLIND:
+        row.setdefault('blind', row['held'])
         if 'rivals' not in row:
             row['rivals'] = [held_out(scored) for scored in (
                 textbook(case, parts), black_box(case, parts)[0])]
