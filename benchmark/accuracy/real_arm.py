@@ -320,7 +320,7 @@ def textbook(case, parts):
     # A force on the tip is that on an arm whose shaft, a million times as heavy, stands still.
     *shaft, tip = parts[0][0].outputs
     heavy, pushed = (1e6, 1) if drive == 'tip_force_y' else (1.0, 0)
-    period = min(0.002, case.step / 2.0)
+    period, most = min(0.002, case.step / 2.0), 12.0 if shaft else 16.0  # of logarithms
     size = {name: np.std(channel.values) for name, channel in parts[0][0].outputs.items()}
     # Of unit inertia of the shaft, because only ratios show. Frequencies begin with several
     # guesses, against local minima.
@@ -332,7 +332,7 @@ def textbook(case, parts):
         return channel.values[np.maximum(place, 0)] / largest[name]
 
     def predicted(x, record, end=np.inf):
-        spring, arm, friction, damping, gain, sensor, push = np.exp(x[:7].clip(-8.0, 12.0))
+        spring, arm, friction, damping, gain, sensor, push = np.exp(x[:7].clip(-8.0, most))
         bias, late, delay, level, first = x[7:]
         t = np.arange(0.0, min(end, record.duration) + period, period)
         torques = np.zeros((len(t), 2))
@@ -359,7 +359,7 @@ def textbook(case, parts):
 
     # Logarithms lie where they are clipped, delays where those of the other model do.
     bounds = np.tile([[-np.inf], [np.inf]], 12)
-    bounds[:, :7] = [[-8.0] * 7, [12.0] * 7]
+    bounds[:, :7] = [[-8.0] * 7, [most] * 7]
     bounds[:, 8:10] = np.transpose([DELAYS, DELAYS])
     best, half = None, min(parts[0][2], parts[0][0].duration)
     # A cart is heavier than its arm, and follows its voltage as a speed.
