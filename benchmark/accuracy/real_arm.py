@@ -138,7 +138,7 @@ BLIND = [
     Case('blind_lisbon_2016', 'Lisbon, a third unit',
          'CC-Lab/cc_lab2/4a_sim_prbs_fa_150Hz/workspace.mat', 'blind_lisbon_2016_columns.yaml',
          'blind_lisbon.yaml', other=('CC-Lab/cc_lab2/5a_sim_prbs_b_0.2/workspace.mat',
-                               'blind_lisbon_2016_columns.yaml')),
+                                     'blind_lisbon_2016_columns.yaml')),
     Case('blind_lisbon_2018', 'Lisbon, a fourth unit', 'CC/lab2_pbrs3.mat',
          'blind_lisbon_2018_columns.yaml', 'blind_lisbon.yaml',
          other=('CC/lab2_pbrs2.mat', 'blind_lisbon_2018_columns.yaml')),
