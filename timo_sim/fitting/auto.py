@@ -15,9 +15,8 @@ from timo_sim.fitting.look import GAUGES
 from timo_sim.fitting.objective import Objective
 from timo_sim.fitting.problem import Free, split_guess, TimeIsUp, vary
 from timo_sim.fitting.record import DRIVE, Record
-from timo_sim.fitting.response import Response
 from timo_sim.fitting.search import INTERRUPTED, Search
-from timo_sim.fitting.suspects import BETTER, MOVING, moves_one_way, predict, Suspect, suspects
+from timo_sim.fitting.suspects import BETTER, MOVING, predict, Suspect, suspects
 from timo_sim.scene.bodies import motor_constants
 from timo_sim.scene.numbers import overrides_of
 from timo_sim.scene.parameters import ParameterError
@@ -44,12 +43,8 @@ class Choice(NamedTuple):
     interrupted: bool = False
 
 
-def plain(scene: Scene, record: Record, until: float) -> tuple[Scene, list[str]]:
-    """
-    Return a scene and what is free of it at first: arm, drive, gains, and the first angle.
-
-    The record is fitted until then [s].
-    """
+def plain(scene: Scene, record: Record) -> tuple[Scene, list[str]]:
+    """Return a scene and what is free of it at first: arm, drive, gains, and the first angle."""
     values, changes = scene.values, dict[str, Any]()
     stiff = 'arm.section.bending_stiffness'
     free = [stiff if values[stiff] else 'arm.young_modulus', 'arm.damping_ratio[0]',
@@ -75,13 +70,10 @@ def plain(scene: Scene, record: Record, until: float) -> tuple[Scene, list[str]]
                 ['motor.dc.torque_constant~20%'] if 'voltage' in record.inputs else [])]
     seen = [name for name in record.outputs if name in GAUGES]
     free += [f'{name}.{kind}' for name in seen for kind in ('gain', 'bias')]
-    # Every rig has delays, and every drive an offset: without these all else stands for them.
-    driven = [name for name in record.inputs if name != DRIVE]
-    alone = bool(driven) and len(seen) == len(record.outputs)  # one delay is that of the input
-    free += [f'{name}.delay~{_DELAY}' for name in driven + seen[alone:]]
-    # Where the shaft moves one way it looks like gain and friction, and a response has none.
-    if not (isinstance(record, Response) or moves_one_way(record, until)):
-        free += [f'{name}.bias' for name in driven]
+    # Every rig has delays. They bend no run, and without them all else stands for them.
+    late = [name for name in record.inputs if name != DRIVE]
+    alone = bool(late) and len(seen) == len(record.outputs)  # one delay is that of the input
+    free += [f'{name}.delay~{_DELAY}' for name in late + seen[alone:]]
     free += [*MOVING] if values['model.modes'] else []
     return scene.vary(changes), free
 

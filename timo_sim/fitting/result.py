@@ -402,7 +402,7 @@ def fit(scene: SceneLike | None, record: RecordLike | Sequence[RecordLike],
     start, measured, held = read_scene_and_records(scene, record, mapping, hold_out_records)
     start = start.with_fixed_shapes()
     if plainly := auto and not free:
-        start, free = plain(start, measured[0], (1.0 - hold_out) * measured[0].duration)
+        start, free = plain(start, measured[0])
     if not any(split_guess(each)[0] for each in free):
         raise ParameterError('a fit must have at least one free parameter, got none, or auto')
     begins = [begin_with(start, each, free) for each in measured]

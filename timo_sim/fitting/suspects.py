@@ -23,7 +23,7 @@ from scipy.optimize import least_squares
 
 from timo_sim.fitting.objective import DIVERGED, Objective, times_of_motion
 from timo_sim.fitting.problem import free_parameters, kinds_of, Problem, TimeIsUp
-from timo_sim.fitting.record import DRIVE, Record
+from timo_sim.fitting.record import DRIVE
 from timo_sim.model.layout import INPUTS
 from timo_sim.scene.numbers import INITIAL, initial_scale
 from timo_sim.scene.parameters import ParameterError, PARAMETERS
@@ -113,7 +113,7 @@ def suspects(objective: Objective, x: np.ndarray, most: int = 0,
     free, _ = np.linalg.qr(root[:, np.newaxis] * objective.jacobian(x, _STEP, False))
     left = root * here - free @ (free.T @ (root * here))
     found, tried = list[Suspect](), list[Any]()
-    sided = most and moves_one_way(problem.record, problem.until)  # then a push looks like others
+    sided = most and moves_one_way(problem)  # then what pushes to a side looks like others
     for effect in (*_effects(objective, x), *([] if most else _held_values(
             problem, objective.values(x, 0)))):
         of_trials, guesses = [], len(effect.shape) > 0 and len(effect.trials) > 1
@@ -169,10 +169,11 @@ def suspects(objective: Objective, x: np.ndarray, most: int = 0,
     return sorted(best.values(), key=lambda each: -each.share)
 
 
-def moves_one_way(record: Record, until: float) -> bool:
-    """Return whether a record goes back by less than a quarter of its ways until then [s]."""
-    t = np.linspace(0.0, until, _WAYS)
-    for channel in (record.outputs[name] for name in JOINTS if name in record.outputs):
+def moves_one_way(problem):
+    """Return whether what is fitted goes back by less than a quarter of all its ways."""
+    t = np.linspace(0.0, problem.until, _WAYS)
+    for channel in (problem.record.outputs[name] for name in JOINTS
+                    if name in problem.record.outputs):
         ways = np.diff(np.interp(t, channel.t, channel.values))
         if abs(ways.sum()) > 0.5 * np.abs(ways).sum():
             return True
