@@ -114,9 +114,6 @@ def choose(scene: Scene, free: list[str], objective_of: Callable[[Scene, list[st
             search.set_deadline(deadline)
             x = search.settle(starts, anew=not line)
             predicted = predict(objective, x)
-            if line:  # the fit of all may be near another minimum of the rest than the trial was
-                predicted = min(predicted, predict(objective, search.first),
-                                key=lambda each: each.cost)
             error = math.exp(np.mean(predicted.errors))
             line = f'{line or "the plain arm"}: {error:.2%}'
             say(f'error of the end of what is fitted, which was held out, {line}')

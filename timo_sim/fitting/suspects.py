@@ -186,7 +186,6 @@ class Predicted(NamedTuple):
     errors: np.ndarray  # logarithms of the rms errors of outputs, each over its spread
     x: np.ndarray       # where that fit ended, (p,)
     sizes: Any          # of its effect
-    cost: float         # half the squares of that fit
 
 
 def predict(objective: Objective, x: np.ndarray, effect: _Effect | None = None,
@@ -200,16 +199,16 @@ def predict(objective: Objective, x: np.ndarray, effect: _Effect | None = None,
             own, *(some or sizes)), varied, low[:len(varied)])
     part = copy(whole)
     part.ends = [float(np.mean(times_of_motion(each, _INNER))) for each in objective.problems]
-    end = least_squares(
+    x = least_squares(
         part.residuals, part.within(np.append(x, np.ones(len(varied)))),
         lambda x: part.jacobian(x, _STEP, False), (part.low, part.high), x_scale='jac',
-        loss=part.loss, ftol=_TOLERANCE, max_nfev=_MAX_RUNS)
-    for (k, name, measured), rows in zip(objective.series(), whole.split(whole.residuals(end.x))):
+        loss=part.loss, ftol=_TOLERANCE, max_nfev=_MAX_RUNS).x
+    for (k, name, measured), rows in zip(objective.series(), whole.split(whole.residuals(x))):
         late = objective.problems[k].record.outputs[name].t[:len(rows)] > part.ends[k]
         size = (objective.deviations[k][name] / (np.std(measured) or 1.0))**2
         terms.append(0.5 * np.log(np.mean(rows[late]**2) * size + _FINE**2))
-    x, factors = np.split(end.x, [len(objective.free)])
-    return Predicted(np.array(terms), x, factors * varied if len(varied) else sizes, end.cost)
+    x, factors = np.split(x, [len(objective.free)])
+    return Predicted(np.array(terms), x, factors * varied if len(varied) else sizes)
 
 
 def name_suspects(found: list[Suspect]) -> Iterator[str]:
