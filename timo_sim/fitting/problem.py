@@ -28,7 +28,7 @@ from timo_sim.scene.numbers import (
     INITIAL, initial_names, initial_scale, number_of, overrides_of)
 from timo_sim.scene.parameters import (
     did_you_mean, ModelWarning, OF_MATERIAL, ParameterError, short, StepError)
-from timo_sim.scene.scene import Scene
+from timo_sim.scene.scene import Scene, with_load
 from timo_sim.simulation.loads import limits_of
 
 # What a quantity of the record is multiplied by, added to and late by. `lag` is the time constant
@@ -392,7 +392,7 @@ class Problem:
         if time.monotonic() > self.deadline:
             raise TimeIsUp('its time was up')
         scene = scene or self.scene_of(values)
-        scene = scene.with_load(self._loads_for(scene, values))
+        scene = with_load(scene, self._loads_for(scene, values))
         duration = min(end, self.record.duration) + self._early(values)
         with warnings.catch_warnings():
             warnings.simplefilter('ignore', ModelWarning)

@@ -229,13 +229,6 @@ class Scene:
         """Return the scene with other values by name, nested or dotted; else ParameterError."""
         return scene_from({**self.values, **check(flatten(overrides), 'override')})
 
-    def with_load(self, load: Load) -> Scene:
-        """Return the scene with another load; what was computed without its load is kept."""
-        other = replace(self, load=load)
-        other.__dict__.update({name: value for name, value in vars(self).items()
-                               if name not in ('load', '_initial_motion')})
-        return other
-
     def with_fixed_shapes(self) -> Scene:
         """Return the scene with its static shapes named, so that `vary` keeps them."""
         names = {loads: name for name, loads in STATIC.items()}
@@ -356,6 +349,14 @@ def values_of(source: str | Path | Mapping[str, Any],
     for text in filter(None, texts):
         warn(text)
     return values
+
+
+def with_load(scene: Scene, load: Load) -> Scene:
+    """Return a scene with another load; what was computed without its load is kept."""
+    other = replace(scene, load=load)
+    other.__dict__.update({name: value for name, value in vars(scene).items()
+                           if name not in ('load', '_initial_motion')})
+    return other
 
 
 def scene_from(values: Mapping[str, Any], static: tuple[str, ...] | None = None) -> Scene:
