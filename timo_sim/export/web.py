@@ -249,7 +249,8 @@ def _loop(scene):
     inertia = 1.0 / np.linalg.inv(
         scene.build().mass_matrix(rest)[0][np.ix_(free, free)])[-1, -1]
     # The torque of a step that begins at rest stays below that of commands and motor.
-    limit = min([values['motor.torque_limit'], *scene.manipulator.motor_limit[:1]])
+    limit = min([values['motor.torque_limit'],
+                 *(torque for torque, _ in scene.manipulator.motor_limit)])
     most = math.sqrt(_SHARE * limit / (_STEP * inertia))
     for share in _BANDWIDTHS:
         omega = min(2.0 * math.pi * share * clamped[0], most)

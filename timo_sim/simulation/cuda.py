@@ -81,7 +81,7 @@ class Cuda:
         key = text, self.xp.cuda.Device().id
 
         def launch(count: int, *arrays: Any) -> None:
-            _KERNELS[key]((-(-count // _BLOCK),), (_BLOCK,), (*arrays, self.xp.int64(count)))
+            _KERNELS[key]((1 + count // _BLOCK,), (_BLOCK,), (*arrays, self.xp.int64(count)))
 
         if key not in _KERNELS:
             module = self.xp.cuda.Module()
