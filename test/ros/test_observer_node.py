@@ -69,7 +69,7 @@ def test_estimates_of_a_moving_arm(start, client, tmp_path):
     again = timo_sim.observer(
         timo_sim.load_scene(scene, {'initial.shaft': shown['encoder'][first]}), [*SENSORS])
     again.update({name: shown[name][first] for name in SENSORS}, dt=0.0)
-    for before, stamp in pairwise([first, *stamps]):
+    for before, stamp in pairwise([first, *stamps]):  # the first state is stamped 1 ns late
         again.update({name: shown[name][stamp] for name in SENSORS}, {'torque': answer(before)},
                      1e-8 * round(0.1 * (stamp - before)))
         assert abs(again.deflection()[1] - found[stamp]) < 1e-9 * np.ptp([*at.values()])
