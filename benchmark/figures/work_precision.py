@@ -4,7 +4,8 @@
 """
 Draws doc/benchmark/*.png, run time against error, from doc/benchmark/work_precision.json.
 
-Each picture has the fastest methods of each family; the tables of doc/benchmark.md have all.
+Each picture has, for each error, the fastest method of each family; the tables of doc/benchmark.md
+have all.
 `make benchmark` writes that file and these pictures; `make picture` draws them without measuring.
 """
 
@@ -23,7 +24,7 @@ FAMILIES = (({'timo_sim'}, 'timo_sim', BLUE, 'o'),
 
 
 def draw(run):
-    """Return a figure of the fastest settings, by error, of the fastest methods of a run."""
+    """Return a figure of the fastest setting of each family of methods, by error, of a run."""
     goals, methods = run['goals_m'], run['methods']
     reached = {method: [each['seconds'] for each in found['best'] if each]
                for method, found in methods.items() if found['best'][0]}
@@ -34,19 +35,13 @@ def draw(run):
              xticklabels=[f'{goal:g} m' for goal in goals],
              xlabel='for an error of the tip deflection below',
              ylabel='CPU time of the solver [s]')
-    legend = []
     for kinds, words, colour, marker in FAMILIES:
-        family = {method: values for method, values in reached.items()
-                  if methods[method]['kind'] in kinds}
-        best = {min((values[k], method) for method, values in family.items()
-                    if len(values) > k)[1]
-                for k in range(len(goals)) if any(len(values) > k for values in family.values())}
-        for method in sorted(best):
-            line, = axes.plot(reached[method], color=colour, marker=marker, lw=2.0, ms=7,
-                              label=method)
-        legend += [(line, words)] * bool(best)
+        family = [values for method, values in reached.items() if methods[method]['kind'] in kinds]
+        best = [min(values[k] for values in family if len(values) > k)
+                for k in range(max(map(len, family), default=0))]
+        if best:
+            axes.plot(best, color=colour, marker=marker, lw=2.0, ms=7, label=words)
     axes.grid(alpha=0.3)
-    figure.legend(*zip(*legend), loc='outside lower center', ncols=2, frameon=False)
     name_ends(axes, first=True)
     return figure
 

@@ -14,7 +14,6 @@ import math
 import numpy as np
 
 from timo_sim.model.bodies import Beam, Manipulator, Quadrature
-from timo_sim.model.formulation import Formulation
 from timo_sim.model.modes import modes_of
 
 # The argument `static` of a Formulation, by `model.static_modes`.
@@ -33,7 +32,7 @@ _LEFT_OUT, _LEFT_OUT_BY_FINER = (1e-4, 1e-2), (3e-6, 3e-6)
 # Share of shear in the deflection by a force above which axial forces, which turn it, matter.
 _SOFT_IN_SHEAR = 0.03
 MORE_MODES = 2  # of a finer run
-_FEW_MODES, _LEFT_OF_IT = 5, 0.2  # see `one_more_does`
+_FEW_MODES, _LEFT_OF_IT = (3, 4, 5), 0.2  # see `one_more_does`
 
 
 def needed_static(body: Manipulator, count: int) -> tuple[str, ...]:
@@ -103,12 +102,10 @@ def one_more_does(body: Manipulator, count: int, static: tuple[str, ...]) -> boo
     """
     Return whether one more mode, without further shapes, is enough for a finer run.
 
-    Up to five modes it shows half of an error that falls as 1/N^4. It must have more nodes, to
-    show their error, and of what modes and shapes leave out of the tip's responses it must leave a
-    fifth, or what `needed_static_of_finer` leaves.
+    Of three to five modes it shows half of an error that falls as 1/N^4. Of what modes and shapes
+    leave out of the tip's responses it must leave a fifth, or what `needed_static_of_finer` does.
     """
-    nodes = Formulation.node_count
-    if not 0 < count <= _FEW_MODES or nodes(count + 1) == nodes(count) or _of_tip(body.arm)[1]:
+    if count not in _FEW_MODES or _of_tip(body.arm)[1]:
         return False
     least = np.transpose([_LEFT_OUT_BY_FINER])
     return bool((_missing(body, count + 1, static) < np.maximum(
