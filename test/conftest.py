@@ -51,8 +51,7 @@ OF_ONE_SIZE = (
 
 
 # Entry points of snapshots and sensors, where the motion and the tip alone have known bits.
-OF_SNAPSHOTS = tuple(f'model.functions.{name}' for name in (
-    'accelerations_of', 'efforts', 'energies'))
+OF_SNAPSHOTS = 'model.functions.sense', 'model.functions.energies'
 
 
 @contextmanager

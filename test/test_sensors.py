@@ -9,7 +9,7 @@ from scipy import stats
 
 import timo_sim
 from timo_sim.model import FORMULATIONS
-from timo_sim.model.layout import place
+from timo_sim.model.layout import place, rotate
 from timo_sim.simulation.simulator import Simulator
 from timo_sim.simulation.snapshot import reading
 from timo_sim.steps.sensors import normal, philox
@@ -68,7 +68,8 @@ def test_acceleration_is_the_second_difference_of_the_tips_position(name, paper,
     ahead.advance(8000 - 24)
     formulation, (motions, _) = simulator.model, ahead.advance(48, sample_every=1)
     place = formulation.world(motions, formulation.at([length]))[:, 0]
-    found = simulator.snapshot().joints.accelerations[1][0]
+    found = np.array(rotate(simulator.motion.shaft + simulator.rotation(),
+                            *simulator.sensors.tip_acceleration))
 
     def error(weights, stride):
         half = len(weights) // 2

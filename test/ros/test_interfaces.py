@@ -234,7 +234,7 @@ def vector(message, *more):
 
 def test_entities_have_pose_twist_and_acceleration(run):
     """Against differences of the poses of three steps, and what is published."""
-    node, simulator = run(**{**PAUSED_NODE, 'frame.world': 'map',
+    node, simulator = run(**{**PAUSED_NODE, 'frame.world': 'map', 'sensor.tip_imu.position': 0.5,
                              'load.torque.piecewise.time': [0.0],
                              'load.torque.piecewise.value': [20.0]})
     simulator.step(200)

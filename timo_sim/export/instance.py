@@ -17,13 +17,13 @@ from timo_sim.compiled.entry import entry_point
 from timo_sim.compiled.functions import (
     Array, Constants, floor, inner, square_root, strict, WIDTH)
 from timo_sim.model.functions import (
-    copy, energy, linear_part_is_valid, motor_effort, place_point, rotor_turn, sincos,
-    spring_torque, state_of)
+    copy, energy, linear_part_is_valid, motor_effort, place_point, rotor_turn, sense_forces,
+    sincos, spring_torque, state_of)
 from timo_sim.model.layout import (
     AFTER, FORCE_I, FORCE_II, FORCE_X, FORCE_Y, LOADS, START, STEP_LOADS)
 from timo_sim.steps.bristles import add_friction, MEMORY
 from timo_sim.steps.loads import add_commands, add_scene_loads, restart
-from timo_sim.steps.sensors import reading, sense_forces
+from timo_sim.steps.sensors import reading
 
 
 class Code(IntEnum):
@@ -305,7 +305,7 @@ def set_forces(tables, beyond, seen, plant, root, instance):
     half, needed = len(motion) // 2, instance.loads[0, START]
     copy(load, acting)
     add_friction(instance.friction, acting)
-    out[17], out[15], out[16] = sense_forces(
+    _, out[17], out[15], out[16] = sense_forces(
         tables, beyond, seen, plant, root, plant.gravity, motion, instance.state, acting,
         instance.accelerations, needed)
     sine, cosine = sincos(motion[2])

@@ -78,8 +78,7 @@ def compile_usual(values: dict[str, Any]) -> list[str]:
     model, motion, load = scene.build().of_any_size(), scene.initial_motion(), np.zeros(LOADS)
     state = model.state(motion)
     model.rate(state, load)
-    accelerations, _ = model.accelerations(*(each[np.newaxis] for each in (motion, state, load)))
-    model.effort(motion[np.newaxis], accelerations, load[np.newaxis])
+    model.sense(*(each[np.newaxis] for each in (motion, state, load)))
     return [f'{name}.o' for name in machine.ADDRESSES]
 
 

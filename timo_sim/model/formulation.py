@@ -18,8 +18,7 @@ from timo_sim.compiled.blas import with_one_thread
 from timo_sim.compiled.constants import pack, Packed
 from timo_sim.model.bodies import Constraints, Manipulator, Quadrature
 from timo_sim.model.functions import (
-    accelerations_of, coulomb, efforts, energies, Flow, gear_torque, Outline, rate_once, Root,
-    states, tips, within)
+    coulomb, energies, Flow, gear_torque, Outline, rate_once, Root, sense, states, tips, within)
 from timo_sim.model.layout import LINKS, LOADS, PUSH_X, PUSH_Y, rotate
 from timo_sim.model.modes import axial_modes, JoinedModes, Modes, modes_of
 
@@ -36,6 +35,18 @@ class Points(NamedTuple):
     deflection: np.ndarray  # W_n, (N, p)
     rotation: np.ndarray    # Phi_n, (N, p)
     displacement: np.ndarray  # along the arm, by the stretch of axial modes, (N, p)
+
+
+class Sensed(NamedTuple):
+    """Accelerations and forces in n motions."""
+
+    specific: np.ndarray  # accelerations of the coordinates less gravity, (n, 3 + N)
+    # Force on the carrier [N] and torque on the shaft [N m] that these need, loads, friction and
+    # constraints included (T44), in world axes, (n, 3).
+    needed: np.ndarray
+    # Moment in the arm at its root [N m], strain of the outer fibre at the gauge, specific force
+    # at the IMU along its axes [m/s2], (n, 4).
+    shown: np.ndarray
 
 
 _SLOW = 0.1  # least damping ratio of a mode that is slowed down
@@ -99,7 +110,7 @@ class Formulation(ABC):
     speed_limit : float
         Shaft speed above which the equations are unstable, whatever the step [rad/s].
     any_size : bool
-        Whether accelerations and efforts are those of `of_any_size`.
+        Whether `sense` is that of `of_any_size`.
 
     """
 
@@ -285,24 +296,6 @@ class Formulation(ABC):
         states.of(self.packed, any_size=True)(motions, len(motions), found)
         return found.reshape(*motion.shape[:-1], -1)
 
-    def effort(self, motions: np.ndarray, accelerations: np.ndarray,
-               loads: np.ndarray) -> np.ndarray:
-        """
-        Return the force on the carrier and torque on the shaft that accelerations need (T44).
-
-        They include loads on carrier and shaft, friction and constraints. There are n motions,
-        accelerations of 3 + N coordinates and loads, of which only those on tip and arm are used.
-        Shape (n, 3): in world axes [N], then [N m].
-        """
-        count = len(motions)
-        # Compiled code does not check that there are as many rows as motions.
-        specific, acting, effort = (np.empty((count, size)) for size in (self.size // 2, LOADS, 3))
-        specific[:], acting[:] = accelerations, loads
-        specific[:, :2] -= self.gravity  # held in gravity is the same as accelerated against it
-        efforts.of(self.packed, any_size=self.any_size)(
-            np.ascontiguousarray(motions, dtype=float), specific, acting, count, effort)
-        return effort
-
     @cached_property
     def tip_travel(self) -> np.ndarray:
         """Travel of the straight arm's tip per x_c, y_c, theta [m/rad] and q_n, (3 + N,)."""
@@ -353,30 +346,30 @@ class Formulation(ABC):
         return self.linear @ state + rate
 
     @cached_property
-    def _accelerations(self):
-        return accelerations_of.of(
-            self.packed, self.seen.packed, pack(Flow(self.linear, self.points.rotation)),
+    def _sense(self):
+        return sense.of(
+            self.packed, self.beyond.packed, self.seen.packed,
+            pack(Flow(self.linear, self.points.rotation)), pack(self.root),
             any_size=self.any_size)
 
     def of_any_size(self) -> 'Formulation':
         """Return the formulation with code that is not made for its size, for few calls."""
         other = copy(self)
         other.any_size = True
-        other.__dict__.pop('_accelerations', None)
+        other.__dict__.pop('_sense', None)
         return other
 
-    def accelerations(self, motions: np.ndarray, states: np.ndarray,
-                      loads: np.ndarray) -> tuple[np.ndarray, np.ndarray]:
+    def sense(self, motions: np.ndarray, states: np.ndarray, loads: np.ndarray) -> 'Sensed':
         """
-        Return accelerations of coordinates, (n, 3 + N), and of the IMU in world axes, (n, 2).
+        Return what is Sensed of forces in n motions with their states and loads that act.
 
-        For n motions with their states and loads that act; see `functions.accelerate`.
+        Shapes (n, 2 (3 + N)), (n, m) and (n, LOADS); see `functions.sense_forces`.
         """
         count = len(motions)
-        found, tip = np.empty((count, self.size // 2)), np.empty((count, 2))
-        self._accelerations(*map(np.ascontiguousarray, (motions, states, loads)), count, found,
-                            tip)
-        return found, tip
+        found = Sensed(*(np.empty((count, size)) for size in (self.size // 2, 3, 4)))
+        self._sense(self.gravity, *map(np.ascontiguousarray, (motions, states, loads)), count,
+                    *found)
+        return found
 
     @cached_property
     def tip_point(self) -> Points:

@@ -252,8 +252,6 @@ class Root(NamedTuple):
     rotation: Annotated[np.ndarray, 'gauges', 'modes']
 
 
-# Python calls these three functions, too, with arrays for many motions, (..., n).
-
 @inner
 def root_forces(tables, root, motion, accelerations, needed, load):
     """
@@ -397,15 +395,56 @@ def tip_velocity(tables, room):
             motion[half + 1] + (sine * along + cosine * across))
 
 
-@entry_point(tables=Constants(), seen=Constants(), flow=Constants(),
-             motions=Array((None, 'motion')), states=Array((None, 'state')),
-             loads=Array((None, LOADS)), count=int, out=Array((None, 'accelerations')),
-             tips=Array((None, 2)))
-def accelerations_of(tables, seen, flow, motions, states, loads, count, out, tips):
-    """Call `accelerate` from Python for each of `count` motions."""
+class _Sensing(NamedTuple):
+    """Work arrays: a load beyond the gauge, what it needs there; places of gauge and IMU."""
+
+    acting: Annotated[np.ndarray, LOADS]
+    needed: Annotated[np.ndarray, 3]
+    place: Annotated[np.ndarray, 3]
+
+
+@inner
+def sense_forces(tables, beyond, seen, flow, root, gravity, motion, state, load, accelerations,
+                 needed):
+    """
+    Return moment at the root, strain at the gauge, specific force at the IMU along the axes there.
+
+    `beyond` and `seen` are tables of `Formulation.beyond` and `.seen`; a load acts, dry friction
+    included. Accelerations, less gravity, and what they need, see `effort`, are written.
+    """
+    room = local_arrays(_Sensing, tables)
+    x, y = accelerate(tables, seen, flow, motion, state, load, accelerations)
+    x, y = x - gravity[0], y - gravity[1]
+    for axis in range(2):
+        accelerations[axis] -= gravity[axis]
+    effort(tables, motion, accelerations, load, needed)
+    force, moment = root_forces(tables, root, motion, accelerations, needed, load)
+    at_root = moment
+    for n in range(len(root.lever)):
+        for i in range(LOADS):
+            room.acting[i] = root.acts[n, i] * load[i]
+        effort(beyond, motion, accelerations, room.acting, room.needed)
+        place_point(beyond, root, n, motion, room.place)
+        force, moment = gauge_forces(
+            root.rotation[n], motion, room.needed, room.place[0], room.place[1])
+    tip(seen, motion, room.place)
+    sine, cosine = sincos(motion[2] + room.place[2])
+    return (at_root, root_strain(root, motion, force, moment), cosine * x + sine * y,
+            cosine * y - sine * x)
+
+
+@entry_point(tables=Constants(), beyond=Constants(), seen=Constants(), flow=Constants(),
+             root=Constants(), gravity=Array((2,)), motions=Array((None, 'motion')),
+             states=Array((None, 'state')), loads=Array((None, LOADS)), count=int,
+             accelerations=Array((None, 'accelerations')), needed=Array((None, 3)),
+             shown=Array((None, 4)))
+def sense(tables, beyond, seen, flow, root, gravity, motions, states, loads, count, accelerations,
+          needed, shown):
+    """Call `sense_forces` from Python for each of `count` motions."""
     for k in range(count):
-        tips[k, 0], tips[k, 1] = accelerate(
-            tables, seen, flow, motions[k], states[k], loads[k], out[k])
+        shown[k, 0], shown[k, 1], shown[k, 2], shown[k, 3] = sense_forces(
+            tables, beyond, seen, flow, root, gravity, motions[k], states[k], loads[k],
+            accelerations[k], needed[k])
 
 
 @entry_point(tables=Constants(), state=Array(('state',)), load=Array((LOADS,)),
@@ -429,15 +468,6 @@ def tips(tables, motions, count, out):
     """Call `tip` from Python for each of `count` motions."""
     for k in range(count):
         tip(tables, motions[k], out[k])
-
-
-@entry_point(tables=Constants(), motions=Array((None, 'motion')),
-             accelerations=Array((None, 'accelerations')), loads=Array((None, LOADS)), count=int,
-             out=Array((None, 3)))
-def efforts(tables, motions, accelerations, loads, count, out):
-    """Call `effort` from Python for each of `count` motions."""
-    for k in range(count):
-        effort(tables, motions[k], accelerations[k], loads[k], out[k])
 
 
 @entry_point(tables=Constants(), motions=Array((None, 'motion')), gravity=Array((2,)), count=int,

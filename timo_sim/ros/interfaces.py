@@ -44,6 +44,7 @@ _ENTITIES = {
     'carrier': 'the carrier with the motor, which moves along world x and y without turning',
     'end_effector': 'the end effector at the tip of the arm, with what it carries'}
 _FAILED = Result.RESULT_OPERATION_FAILED
+_TIME = 1e-6  # over which the tip's velocity is differentiated [s]
 
 
 class _RefusalError(Exception):
@@ -177,7 +178,7 @@ class Interfaces:
         model, motion = snapshot.model, snapshot.motion
         if name == 'carrier':
             position, velocity = snapshot.joint_positions[:2], snapshot.joint_velocities[:2]
-            acceleration = snapshot.joints.accelerations[0][0, :2].tolist()
+            acceleration = snapshot.joints.accelerations[0, :2].tolist()
             angle = turning = turning_rate = 0.0
         else:
             x, y, theta = snapshot.joint_positions
@@ -185,9 +186,11 @@ class Interfaces:
             position, angle = place(x, y, theta, along, across), theta + rotation
             speeds, turned = model.velocities(motion[np.newaxis], model.tip_point)
             velocity, turning = speeds[0, 0].tolist(), float(turned[0, 0])
-            coordinates, tip = (each[0] for each in snapshot.joints.accelerations)
-            acceleration = tip.tolist()
-            turning_rate = float(coordinates[2] + model.points.rotation[:, -1] @ coordinates[3:])
+            flow = np.append(motion[model.size // 2:], snapshot.joints.accelerations)
+            ahead, behind = (model.velocities((motion + time * flow)[np.newaxis], model.tip_point)
+                             for time in (_TIME, -_TIME))
+            acceleration = ((ahead[0] - behind[0])[0, 0] / (2.0 * _TIME)).tolist()
+            turning_rate = float(ahead[1][0, 0] - behind[1][0, 0]) / (2.0 * _TIME)
         state = EntityState()
         state.header.stamp.sec, state.header.stamp.nanosec = snapshot.time
         state.header.frame_id = self._node.frames['world']

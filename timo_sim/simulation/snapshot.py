@@ -13,7 +13,7 @@ from typing import Any
 import numpy as np
 
 from timo_sim.model.formulation import Formulation
-from timo_sim.model.functions import gauge_forces, root_forces, root_strain, spring_torque
+from timo_sim.model.functions import spring_torque
 from timo_sim.model.layout import (
     FORCE_I, FORCE_II, FORCE_X, FORCE_Y, Motion, MOTOR_FRICTION, place, rotate, TORQUE)
 from timo_sim.scene.scene import Scene
@@ -42,16 +42,19 @@ class Joints:
     def __init__(self, model: Formulation, motions: np.ndarray, loads: np.ndarray,
                  states: np.ndarray | None = None) -> None:
         self.model, self.motions, self._loads = model, motions, loads
-        self._states = model.state(motions) if states is None else states
+        self._states = states
 
     @cached_property
-    def accelerations(self) -> tuple[np.ndarray, np.ndarray]:
-        """Accelerations of the coordinates, (n, 3 + N), and of the IMU in world axes, (n, 2)."""
-        return self.model.accelerations(self.motions, self._states, self._loads)
+    def _sensed(self):
+        states = self.model.state(self.motions) if self._states is None else self._states
+        return self.model.sense(self.motions, states, self._loads)
 
-    @cached_property
-    def _needed(self):
-        return self.model.effort(self.motions, self.accelerations[0], self._loads)
+    @property
+    def accelerations(self) -> np.ndarray:
+        """Accelerations of the coordinates, (n, 3 + N)."""
+        found = self._sensed.specific.copy()
+        found[:, :2] += self.model.gravity
+        return found
 
     @property
     def reactions(self) -> np.ndarray:
@@ -63,40 +66,22 @@ class Joints:
         """
         given = applied(self.model, self.motions, self._loads)
         given[:, 2] += spring_torque(self.model.manipulator, self.motions[:, 2])
-        return self._needed - given
+        return self._sensed.needed - given
 
     @property
     def root_moment(self) -> np.ndarray:
         """Moment in the arm at its root, (n,) [N m]."""
-        return self._root_forces[1]
-
-    @cached_property
-    def _gauge_forces(self):
-        model, root = self.model, self.model.root
-        if not model.gauge:
-            return self._root_forces
-        needed = model.beyond.effort(self.motions, self.accelerations[0], self._loads * root.acts)
-        place = model.centre_line(Motion(self.motions).q, model.at([model.gauge]))[:, 0]
-        return gauge_forces(root.rotation[0], self.motions.T, needed.T, *place.T)
-
-    @cached_property
-    def _root_forces(self):
-        model, specific = self.model, self.accelerations[0].T.copy()
-        specific[:2] -= model.gravity[:, np.newaxis]
-        return root_forces(model.tables, model.root, self.motions.T, specific, self._needed.T,
-                           self._loads.T)
+        return self._sensed.shown[:, 0]
 
     @property
     def root_strain(self) -> np.ndarray:
         """Strain of the outer fibre at the gauge, axial strain included, shape (n,)."""
-        return root_strain(self.model.root, self.motions.T, *self._gauge_forces)
+        return self._sensed.shown[:, 1]
 
     @property
     def tip_acceleration(self) -> np.ndarray:
         """Specific force at the IMU, acceleration less gravity, in its axes, (n, 2) [m/s2]."""
-        motion, model = Motion(self.motions), self.model
-        turned = motion.shaft + model.section_rotation(motion.q, model.imu_point)[:, 0]
-        return np.column_stack(rotate(-turned, *(self.accelerations[1] - model.gravity).T))
+        return self._sensed.shown[:, 2:]
 
     @property
     def tip_turning(self) -> np.ndarray:

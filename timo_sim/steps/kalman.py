@@ -17,12 +17,12 @@ from timo_sim.compiled.entry import EntryPoint
 from timo_sim.compiled.functions import (
     Array, as_vectors, Constants, inner, square_root, sum_of, with_derivatives,
     without_derivatives)
-from timo_sim.model.functions import copy, observe, rotor_turn, state_of, tip_rate
+from timo_sim.model.functions import (
+    copy, observe, rotor_turn, sense_forces, state_of, tip_rate)
 from timo_sim.model.layout import AFTER, LOADS, STEP_LOADS
 from timo_sim.steps.bristles import add_friction, MEMORY
 from timo_sim.steps.derivatives import differentiate, ENTRIES
 from timo_sim.steps.etdrk4 import is_finite
-from timo_sim.steps.sensors import sense_forces
 
 # Axes of the first entries of `topics.outputs.SENSORS`; those before _OF_MOTION need forces.
 SENSED, _OF_MOTION = 6, 3
@@ -154,7 +154,7 @@ def _sense(tables, beyond, sight, flow, root, gravity, forces, seen):
     axes[5] = rotor_turn(root, motion, 0)
     if forces:
         state_of(tables, motion, seen.state)
-        axes[0], axes[1], axes[2] = sense_forces(
+        _, axes[0], axes[1], axes[2] = sense_forces(
             tables, beyond, sight, flow, root, gravity, motion, seen.state, seen.load,
             seen.accelerations, seen.needed)
 

@@ -14,12 +14,8 @@ from typing import Annotated, NamedTuple
 
 import numpy as np
 
-from timo_sim.compiled.constants import local_arrays
 from timo_sim.compiled.entry import entry_point
-from timo_sim.compiled.functions import Array, Constants, inner, magnitude, square_root, strict
-from timo_sim.model.functions import (
-    accelerate, effort, gauge_forces, place_point, root_forces, root_strain, sincos, tip)
-from timo_sim.model.layout import LOADS
+from timo_sim.compiled.functions import Array, Constants, magnitude, square_root, strict
 
 
 class SensorErrors(NamedTuple):
@@ -31,43 +27,6 @@ class SensorErrors(NamedTuple):
     bias: Annotated[np.ndarray, 'sensor_axes']
     resolution: Annotated[np.ndarray, 'sensor_axes']
     delay: Annotated[np.ndarray, int, 'sensor_axes']  # until it is read [steps]
-
-
-class _Room(NamedTuple):
-    """Work arrays: a load beyond the gauge, what it needs there; places of gauge and IMU."""
-
-    acting: Annotated[np.ndarray, LOADS]
-    needed: Annotated[np.ndarray, 3]
-    place: Annotated[np.ndarray, 3]
-
-
-@inner
-def sense_forces(tables, beyond, seen, flow, root, gravity, motion, state, load, accelerations,
-                 needed):
-    """
-    Return the strain at the gauge and the specific force at the IMU, along the axes there.
-
-    `beyond` and `seen` are tables of `Formulation.beyond` and `.seen`; a load acts, dry friction
-    included. Accelerations, less gravity, and what they need, see `effort`, are written.
-    """
-    room = local_arrays(_Room, tables)
-    x, y = accelerate(tables, seen, flow, motion, state, load, accelerations)
-    x, y = x - gravity[0], y - gravity[1]
-    for axis in range(2):
-        accelerations[axis] -= gravity[axis]
-    effort(tables, motion, accelerations, load, needed)
-    force, moment = root_forces(tables, root, motion, accelerations, needed, load)
-    for n in range(len(root.lever)):
-        for i in range(LOADS):
-            room.acting[i] = root.acts[n, i] * load[i]
-        effort(beyond, motion, accelerations, room.acting, room.needed)
-        place_point(beyond, root, n, motion, room.place)
-        force, moment = gauge_forces(
-            root.rotation[n], motion, room.needed, room.place[0], room.place[1])
-    tip(seen, motion, room.place)
-    sine, cosine = sincos(motion[2] + room.place[2])
-    return (root_strain(root, motion, force, moment), cosine * x + sine * y,
-            cosine * y - sine * x)
 
 
 _LOW = 0xFFFFFFFF  # the lower 32 bits
