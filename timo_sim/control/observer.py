@@ -270,7 +270,8 @@ class Observer(Stateful, PointsOfArm):
         done, readings, simulator, known = 0, 0, self.simulator, self._known
         if since + len(loads) == steps and shown:
             readings = self._taken = len(shown)
-            known.axis[:readings], known.shown[:readings] = [*shown], [*shown.values()]
+            for k, (axis, value) in enumerate(shown.items()):
+                known.axis[k], known.shown[k] = axis, value
         while True:
             following = loads[done:] if done else loads
             reached = self._update(self.model.sector(state, load))(

@@ -577,14 +577,18 @@ def checked(**rules: Any) -> Callable[[_Function], _Function]:
     """
     def decorate(function):
         parameters = inspect.signature(function).parameters
-        optional = [name for name, each in parameters.items() if each.default is None]
+        optional = {name for name, each in parameters.items() if each.default is None}
+        ruled = [(place, name, *rules[name]) for place, name in enumerate(parameters)
+                 if name in rules]
 
         @functools.wraps(function)
         def call(*args, **keywords):
-            for name, value in (*zip(parameters, args), *keywords.items()):
-                if name not in rules or value is None and name in optional:
+            for place, name, test, words in ruled:
+                if place >= len(args) and name not in keywords:
                     continue
-                test, words = rules[name]
+                value = args[place] if place < len(args) else keywords[name]
+                if value is None and name in optional:
+                    continue
                 try:
                     good = test(value)
                 except (TypeError, ValueError, OverflowError, LookupError):
