@@ -43,6 +43,7 @@ _AT_ONCE = 512 * 1024  # [B] of messages outside of chunks that are read togethe
 # A message, but for its data.
 _MESSAGE = np.dtype([('opcode', 'u1'), ('length', '<u8'), ('channel', '<u2'), ('sequence', '<u4'),
                      ('log_time', '<u8'), ('publish_time', '<u8')])
+_WHOLE = np.dtype(f'V{_MESSAGE.itemsize}')  # the same without fields, which is copied faster
 # What mcap and the decompressors raise for bytes that they cannot read.
 _UNREADABLE = (McapError, ValueError, OverflowError, RuntimeError, EOFError, LookupError,
                struct.error, zstandard.ZstdError)
@@ -148,7 +149,7 @@ class Messages(NamedTuple):
 
     def those(self, which: np.ndarray) -> Messages:
         """Return those where `which`, (n,) bool, is true."""
-        return self._replace(heads=self.heads[which], ends=self.ends[which])
+        return self._replace(heads=_whole(self.heads)[which].view(_MESSAGE), ends=self.ends[which])
 
     @property
     def sizes(self) -> np.ndarray:
@@ -163,8 +164,8 @@ class Messages(NamedTuple):
     def rows(self) -> np.ndarray:
         """Return the serialised messages, if they are of one size, (n, size) uint8."""
         size = int(self.sizes[0])
-        places = len(self.data) - size + 1
-        return np.ndarray((places, size), np.uint8, self.data, strides=(1, 1))[self.ends - size]
+        whole = np.ndarray(len(self.data) - size + 1, f'V{size}', self.data, strides=1)
+        return whole[self.ends - size].view(np.uint8).reshape(-1, size)
 
 
 class LogFile:
@@ -254,7 +255,8 @@ class _Reader:
     def __init__(self, stream: BinaryIO) -> None:
         self._stream, self.profile, self.place = stream, 'ros2', len(MCAP0_MAGIC)
         self.damage: str | None = None
-        self._schemas, self._channels, self._resets = {0}, set[int](), 0
+        self._schemas, self._resets = {0}, 0
+        self._channels = np.zeros(2**16, dtype=bool)  # whether one is known
 
     def records(self) -> Iterator[Schema | Channel | Metadata | Messages]:
         """Yield each Schema and Channel once, Metadata but rosbag2's, and Messages."""
@@ -298,8 +300,8 @@ class _Reader:
 
     def _inside(self, data, index):
         """Yield the records in a block; raise an error behind those before a malformed one."""
-        places, wrong = _indexed(data, index), None
-        place = len(data) if places else 0
+        starts, heads = _indexed(data, index)
+        place, places, wrong = len(data) if len(starts) else 0, [], None
         try:
             while place < len(data):
                 opcode, length = HEAD.unpack_from(data, place)
@@ -314,12 +316,14 @@ class _Reader:
                 place = end
         except _UNREADABLE as error:
             wrong = error
-        starts = np.array(places, dtype=np.int64)
-        heads = _heads(data, starts)
-        known = np.isin(heads['channel'], [*self._channels])
+        if places:
+            starts = np.array(places, dtype=np.int64)
+            heads = _heads(data, starts)
+        known = self._channels[heads['channel']]
         if known.any():
-            yield Messages(self._resets, data, heads, starts + HEAD.size
-                           + heads['length'].astype(np.int64)).those(known)
+            found = Messages(self._resets, data, heads, starts + HEAD.size
+                             + heads['length'].astype(np.int64))
+            yield found if known.all() else found.those(known)
         if not known.all():
             raise ValueError(f'a message is of an unknown channel, {heads["channel"][~known][0]}')
         if wrong:
@@ -341,29 +345,33 @@ class _Reader:
             record = _parse(Channel, content)
             if record.schema_id not in self._schemas:
                 raise ValueError(f'{record.topic[:80]!r} is of an unknown schema')
-            if record.id not in self._channels:
-                self._channels.add(record.id)
+            if not self._channels[record.id]:
+                self._channels[record.id] = True
                 yield record
         elif opcode == Opcode.HEADER:
             self.profile = _parse(Header, content).profile
 
 
 def _heads(data, places):
-    return np.ndarray(max(0, len(data) - _MESSAGE.itemsize + 1), _MESSAGE, data,
-                      strides=1)[places]
+    return np.ndarray(max(0, len(data) - _MESSAGE.itemsize + 1), _WHOLE, data, strides=1)[
+        places].view(_MESSAGE)
+
+
+def _whole(heads):
+    return heads.view(_WHOLE)
 
 
 def _indexed(data, index):
-    """Return the places of messages by their index; [] if it does not fit, or others are there."""
+    """Return places and heads of messages by their index; none if it does not fit all data."""
     places = np.sort(np.frombuffer(index[:len(index) // 16 * 16], '<i8')[1::2])
-    if len(places) and 0 <= places[0] and places[-1] <= len(data) - _MESSAGE.itemsize:
+    if len(places) and 0 == places[0] and places[-1] <= len(data) - _MESSAGE.itemsize:
         heads = _heads(data, places)
         ends = places + HEAD.size + heads['length'].astype(np.int64)
-        if np.array_equal(np.insert(ends, 0, 0), np.append(places, len(data))) and (
+        if ends[-1] == len(data) and np.array_equal(ends[:-1], places[1:]) and (
                 heads['opcode'] == MESSAGE_OPCODE).all() and (
                 heads['length'] >= MESSAGE.size).all():
-            return places.tolist()
-    return []
+            return places, heads
+    return places[:0], _heads(data, places[:0])
 
 
 def _parse(kind, content):
