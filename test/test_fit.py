@@ -8,6 +8,7 @@ import re
 
 import numpy as np
 import pytest
+from scipy.interpolate import CubicSpline
 from scipy.linalg import toeplitz
 from scipy.signal import lfilter, lsim
 
@@ -155,6 +156,19 @@ def test_sensors_have_gain_bias_delay_and_lag():
     late = T - 0.0123
     wanted = np.where(late < 0.0, 0.2, 0.2 + 0.7 * (late - 0.05 * (1.0 - np.exp(-late / 0.05))))
     assert record.outputs['shaft'].values == pytest.approx(1.5 * wanted + 0.3, abs=2e-5)
+
+
+@pytest.mark.parametrize('count', [5, 6, 7, 1501])
+def test_between_steps_a_sensor_shows_the_cubic_spline_of_scipy(count):
+    """Before t = 0 it shows the first motion; few values are joined by lines."""
+    late, t = 0.0031, T[:count]
+    run = run_scene(timo_sim.load_scene({}, {**ARM, 'initial.shaft_velocity': 3.0}), count - 1)
+    blank = timo_sim.Record.of({}, {'tip_transverse': (T, 0.0 * T)})
+    problem = Problem(run.scene, blank, ['arm.length'], {}, blank.duration)
+    shown = problem.predicted({'tip_transverse.delay': late}, t[-1], run)['tip_transverse']
+    spline = CubicSpline(run.t, run.deflection()[:, 1]) if count > 5 else (
+        lambda at: np.interp(at, run.t, run.deflection()[:, 1]))
+    assert shown == pytest.approx(spline(np.maximum(t - late, 0.0)), abs=1e-14)
 
 
 @pytest.mark.parametrize('hold', ['zero', 'linear'])

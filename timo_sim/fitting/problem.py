@@ -15,8 +15,9 @@ import warnings
 
 import numpy as np
 from scipy.integrate import cumulative_trapezoid
-from scipy.interpolate import CubicSpline, make_interp_spline, make_lsq_spline, PPoly
+from scipy.interpolate import make_interp_spline, make_lsq_spline, PPoly
 from scipy.linalg import matmul_toeplitz, solve_toeplitz
+from scipy.linalg.lapack import dptsv
 from scipy.signal import lfilter
 
 from timo_sim.fitting.record import Channel, DRIVE, OUTPUTS, Record, unit_of
@@ -467,11 +468,31 @@ def _interpolate(times, step, values):
     whole = np.rint(position)
     if np.abs(position - whole).max(initial=0.0) <= _AT_STEP:
         return values[np.clip(whole, 0, len(values) - 1).astype(int)]
-    t = step * np.arange(len(values))
-    if len(values) < 4:
-        return np.interp(times, t, values)
     # Before the start of the run, its first motion is used.
-    return CubicSpline(t, values)(np.clip(times, 0.0, t[-1]))
+    position = np.clip(position, 0.0, len(values) - 1.0)
+    if len(values) < _FEWEST:
+        return np.interp(position, np.arange(len(values)), values)
+    place = np.minimum(position.astype(int), len(values) - 2)
+    after, bends = position - place, _bends(values)
+    before = 1.0 - after
+    return before * values[place] + after * values[place + 1] - before * after / 6.0 * (
+        (1.0 + before) * bends[place] + (1.0 + after) * bends[place + 1])
+
+
+_FEWEST = 6  # values through which a spline goes
+
+
+def _bends(values):
+    """Return the second derivatives, by steps, of the cubic spline through values, (n,)."""
+    # Those of neighbours follow from (M_(k-1) + 4 M_k + M_(k+1)) / 6, the second difference; its
+    # third derivative does not jump at the second value, nor at the last but one.
+    change, bends = np.diff(values, 2), np.empty(len(values))
+    bends[[1, -2]] = change[[0, -1]]
+    right = 6.0 * change[1:-1]
+    right[[0, -1]] -= change[[0, -1]]
+    bends[2:-2] = dptsv(np.full(len(right), 4.0), np.ones(len(right) - 1), right)[2]
+    bends[[0, -1]] = 2.0 * bends[[1, -2]] - bends[[2, -3]]
+    return bends
 
 
 WHITE = 0.01         # probability below which residuals do not count as white

@@ -415,7 +415,8 @@ def project_on_modes(scene: SceneLike, deflection: Callable[[np.ndarray], Any],
     return tuple(load_scene(scene).build().project_on_modes(deflection, rotation).tolist())
 
 
-# Scenes that differ in loads, limits or initial motion share their equations of motion.
-@lru_cache(maxsize=4)
+# Scenes that differ in loads, limits, dry friction or initial motion share their equations of
+# motion, also if others that a fit tries come between them.
+@lru_cache(maxsize=16)
 def _shared_model(name, *arguments, **keywords):
     return formulation_class(name)(*arguments, **keywords)

@@ -97,27 +97,29 @@ def springs_of(values: np.ndarray) -> np.ndarray:
                      values[:, REACH], out=np.zeros(BRISTLES), where=values[:, REACH] > 0.0)
 
 
-@lru_cache(maxsize=8)
-def mobilities(model: Formulation, q: tuple[float, ...]) -> list[np.ndarray]:
+@lru_cache(maxsize=16)
+def mobilities(model: Formulation, q: tuple[float, ...]) -> np.ndarray:
     """
-    Return accelerations of joints by unit forces on each, (4, 4), along and across the arm.
+    Return accelerations of joints by unit forces on each, (2, 4, 4), along and across the arm.
 
     The arm is straight, or bent as by modal coordinates, (N,).
     """
     motion = np.zeros(model.size)
     motion[3:3 + len(q)] = q
-    free = [*model.axes, *range(2 + model.driven, model.size // 2)]
+    free = model.free_places[:len(model.free_places) // 2]
     mass, joints = model.mass_matrix(motion)[0], model.joint_turns.T[:, free]
     turn = np.eye(len(mass))
     turn[:2, :2] = [[0.0, 1.0], [-1.0, 0.0]]  # the shaft by a right angle
-    return [joints @ np.linalg.inv(each[np.ix_(free, free)]) @ joints.T
-            for each in (mass, turn.T @ mass @ turn)]
+    both = np.array([mass, turn.T @ mass @ turn])[:, free[:, np.newaxis], free]
+    return joints @ np.linalg.inv(both) @ joints.T
 
 
-def fastest(slopes: np.ndarray, mobile: list[np.ndarray]) -> float:
+def fastest(slopes: np.ndarray, mobile: np.ndarray) -> float:
     """Return the largest eigenvalue of forces with slopes, (4,), on joints of `mobilities`."""
+    if not slopes.any():
+        return 0.0
     root = np.sqrt(slopes)
-    return max(0.0, *(np.linalg.eigvalsh(np.outer(root, root) * each)[-1] for each in mobile))
+    return max(0.0, *np.linalg.eigvalsh(np.outer(root, root) * mobile)[:, -1])
 
 
 def swing_of(model: Formulation, values: np.ndarray) -> np.ndarray:
