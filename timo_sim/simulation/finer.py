@@ -37,6 +37,7 @@ from timo_sim.simulation.warnings import DivergenceError, inaccurate, NO_FINER_R
 
 _STRETCHES = 3  # they answer centrifugal forces, an acceleration, a force on the tip
 PARTS = 2, 8, 32  # of a step, from which those of the finer run are chosen
+_PARTS_OF_EVENTS = 4, 8, 32  # the same where errors of steps fall more slowly
 # A pick-up excites all modes, and the error falls only as 1/N: there are more of them.
 _MODES_OF_IMPACT, _MOST_MODES = 4, 40 + MORE_MODES
 _MODES_OF_PUSH = 2  # a force within the arm makes a kink, whose error falls slowly, too
@@ -115,9 +116,9 @@ def choose_parts(scene: Scene) -> tuple[int, ...]:
     inside = any(abs(time / scene.step - round(time / scene.step)) > 1e-6
                  for name in _TIMES for time in scene.values[name])
     events = scene.has_dry_friction or scene.values['motor.gear.backlash']
-    tried = PARTS[1:] if inside or events else PARTS
+    tried = _PARTS_OF_EVENTS if inside or events else PARTS
     least = next((parts for parts in tried if _resolves(scene, scene.step / parts)), PARTS[-1])
-    return tuple(parts for parts in PARTS if parts >= least)
+    return tuple(parts for parts in tried if parts >= least)
 
 
 def _resolves(scene, step):
