@@ -92,8 +92,9 @@ def modes_of(manipulator: Manipulator, count: int, static: tuple[str, ...] = ())
     follow the modes.
     """
     return _modes_of(Manipulator(
-        manipulator.arm, 0.0, 0.0, 0.0, manipulator.end_effector_mass,
-        manipulator.end_effector_inertia,
+        arm=manipulator.arm, carrier_mass=0.0, motor_mass=0.0, shaft_inertia=0.0,
+        end_effector_mass=manipulator.end_effector_mass,
+        end_effector_inertia=manipulator.end_effector_inertia,
         end_effector_offset=manipulator.end_effector_offset), count, static)
 
 
