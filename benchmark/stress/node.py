@@ -120,13 +120,15 @@ def signal_row(number, cold):
     with ThreadPoolExecutor(3) as pool:
         results = list(pool.map(lambda trial: _signalled(*trial), trials))
     early = [moment for (_, moment, _), (_, killed) in zip(trials, results) if killed]
-    return ('SIGINT or SIGTERM at a random moment', number, sum(well for well, _ in results),
-            f'{len(early)} before Python could take it, at most {max(early, default=0.0):.2f} s '
-            f'after the start; {cold} while compiling')
+    wrong = [text for text, _ in results if text]
+    return ('SIGINT or SIGTERM at a random moment', number, number - len(wrong),
+            '; '.join([f'{len(early)} before Python could take it, at most '
+                       f'{max(early, default=0.0):.2f} s after the start',
+                       f'{cold} while compiling', *wrong[:1]]))
 
 
 def _signalled(cold, moment, sent):
-    """Send a node a signal; return whether all is well, and whether it could not take it yet."""
+    """Send a node a signal; return what is wrong or '', and whether it could not take it yet."""
     with tempfile.TemporaryDirectory() as folder:
         environment = {**ENVIRONMENT, **({'NUMBA_CACHE_DIR': folder} if cold else {})}
         # An installation has no machine code of nine modes.
@@ -136,9 +138,11 @@ def _signalled(cold, moment, sent):
         early = not node.handles_signals()
         code = node.end(sent)
         if code and early:
-            return not node.log.exists(), True
+            return 'it left a log' * node.log.exists(), True
         readable = not node.log.exists() or node.health()[1] > 0
-        return code == 0 and 'Traceback' not in node.output() and readable, False
+        well = code == 0 and 'Traceback' not in node.output() and readable
+        return '' if well else (f'code {code} after {moment:.3f} s, log readable: {readable}, '
+                                f'last words: {" ".join(node.output().split())[-200:]}'), False
 
 
 def soak_row(what, seconds, **parameters):
