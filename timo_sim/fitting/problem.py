@@ -470,29 +470,20 @@ def _interpolate(times, step, values):
         return values[np.clip(whole, 0, len(values) - 1).astype(int)]
     # Before the start of the run, its first motion is used.
     position = np.clip(position, 0.0, len(values) - 1.0)
-    if len(values) < _FEWEST:
+    if len(values) < 6:
         return np.interp(position, np.arange(len(values)), values)
-    place = np.minimum(position.astype(int), len(values) - 2)
-    after, bends = position - place, _bends(values)
-    before = 1.0 - after
-    return before * values[place] + after * values[place + 1] - before * after / 6.0 * (
-        (1.0 + before) * bends[place] + (1.0 + after) * bends[place + 1])
-
-
-_FEWEST = 6  # values through which a spline goes
-
-
-def _bends(values):
-    """Return the second derivatives, by steps, of the cubic spline through values, (n,)."""
-    # Those of neighbours follow from (M_(k-1) + 4 M_k + M_(k+1)) / 6, the second difference; its
-    # third derivative does not jump at the second value, nor at the last but one.
+    # Second derivatives of the cubic spline, by steps: (M_(k-1) + 4 M_k + M_(k+1)) / 6 is the
+    # second difference, and the third derivative does not jump next to the ends.
     change, bends = np.diff(values, 2), np.empty(len(values))
     bends[[1, -2]] = change[[0, -1]]
     right = 6.0 * change[1:-1]
     right[[0, -1]] -= change[[0, -1]]
     bends[2:-2] = dptsv(np.full(len(right), 4.0), np.ones(len(right) - 1), right)[2]
     bends[[0, -1]] = 2.0 * bends[[1, -2]] - bends[[2, -3]]
-    return bends
+    place = np.minimum(position.astype(int), len(values) - 2)
+    after, before = position - place, place + 1.0 - position
+    return before * values[place] + after * values[place + 1] - before * after / 6.0 * (
+        (1.0 + before) * bends[place] + (1.0 + after) * bends[place + 1])
 
 
 WHITE = 0.01         # probability below which residuals do not count as white

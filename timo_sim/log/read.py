@@ -149,7 +149,8 @@ class Messages(NamedTuple):
 
     def those(self, which: np.ndarray) -> Messages:
         """Return those where `which`, (n,) bool, is true."""
-        return self._replace(heads=_whole(self.heads)[which].view(_MESSAGE), ends=self.ends[which])
+        return self._replace(heads=self.heads.view(_WHOLE)[which].view(_MESSAGE),
+                             ends=self.ends[which])
 
     @property
     def sizes(self) -> np.ndarray:
@@ -300,8 +301,8 @@ class _Reader:
 
     def _inside(self, data, index):
         """Yield the records in a block; raise an error behind those before a malformed one."""
-        starts, heads = _indexed(data, index)
-        place, places, wrong = len(data) if len(starts) else 0, [], None
+        starts, places, wrong = _indexed(data, index), [], None
+        place = len(data) if len(starts) else 0
         try:
             while place < len(data):
                 opcode, length = HEAD.unpack_from(data, place)
@@ -316,14 +317,12 @@ class _Reader:
                 place = end
         except _UNREADABLE as error:
             wrong = error
-        if places:
-            starts = np.array(places, dtype=np.int64)
-            heads = _heads(data, starts)
+        starts = np.array(places) if places else starts
+        heads = _heads(data, starts)
         known = self._channels[heads['channel']]
         if known.any():
-            found = Messages(self._resets, data, heads, starts + HEAD.size
-                             + heads['length'].astype(np.int64))
-            yield found if known.all() else found.those(known)
+            yield Messages(self._resets, data, heads, starts + HEAD.size
+                           + heads['length'].astype(np.int64)).those(known)
         if not known.all():
             raise ValueError(f'a message is of an unknown channel, {heads["channel"][~known][0]}')
         if wrong:
@@ -357,12 +356,8 @@ def _heads(data, places):
         places].view(_MESSAGE)
 
 
-def _whole(heads):
-    return heads.view(_WHOLE)
-
-
 def _indexed(data, index):
-    """Return places and heads of messages by their index; none if it does not fit all data."""
+    """Return the places of messages by their index, (n,); none if it does not fit all data."""
     places = np.sort(np.frombuffer(index[:len(index) // 16 * 16], '<i8')[1::2])
     if len(places) and 0 == places[0] and places[-1] <= len(data) - _MESSAGE.itemsize:
         heads = _heads(data, places)
@@ -370,8 +365,8 @@ def _indexed(data, index):
         if ends[-1] == len(data) and np.array_equal(ends[:-1], places[1:]) and (
                 heads['opcode'] == MESSAGE_OPCODE).all() and (
                 heads['length'] >= MESSAGE.size).all():
-            return places, heads
-    return places[:0], _heads(data, places[:0])
+            return places
+    return places[:0]
 
 
 def _parse(kind, content):

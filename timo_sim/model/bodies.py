@@ -248,6 +248,13 @@ class Manipulator:
     # torque [N m], and the viscous friction by its back-EMF [N m s/rad] (T66).
     motor_limit: tuple = ()
 
+    @functools.cached_property
+    def clamped(self) -> 'Manipulator':
+        """That of the same arm and end effector alone, on which modes depend."""
+        return Manipulator(self.arm, 0.0, 0.0, 0.0, self.end_effector_mass,
+                           self.end_effector_inertia,
+                           end_effector_offset=self.end_effector_offset)
+
     @property
     def base_mass(self) -> float:
         """Mass at the root of the arm, m_c + m_m [kg]."""

@@ -126,7 +126,7 @@ class Formulation(ABC):
         self.manipulator, self.constraints = manipulator, constraints
         self.gravity = np.array(gravity, dtype=float)
         basis = basis or manipulator
-        self.modes: Modes = modes_of(basis, count, static)
+        self.modes: Modes = modes_of(basis.clamped, count, static)
         self.axial = axial
         self.gear: Any = manipulator.gear
         if self.gear:  # its mode turns the rotor against the shaft (T60)

@@ -82,25 +82,16 @@ class JoinedModes(Modes):
             part.fields(xi) for part in self._parts))]
 
 
+@functools.lru_cache(maxsize=16)
+@with_one_thread
 def modes_of(manipulator: Manipulator, count: int, static: tuple[str, ...] = ()) -> Modes:
     """
     Return the lowest modes of a manipulator's arm, both spectra together.
 
-    They are cached, because the check of a scene and its run ask for the same modes, as do scenes
-    that differ in friction or in what the arm is mounted on. Those of a uniform arm have a closed
-    form. `static` are loads, 'force' or 'torque' on the tip or 'weight', whose static shapes
-    follow the modes.
+    They are cached, because the check of a scene and its run ask for the same modes. Those of a
+    uniform arm have a closed form. `static` are loads, 'force' or 'torque' on the tip or 'weight',
+    whose static shapes follow the modes.
     """
-    return _modes_of(Manipulator(
-        arm=manipulator.arm, carrier_mass=0.0, motor_mass=0.0, shaft_inertia=0.0,
-        end_effector_mass=manipulator.end_effector_mass,
-        end_effector_inertia=manipulator.end_effector_inertia,
-        end_effector_offset=manipulator.end_effector_offset), count, static)
-
-
-@functools.lru_cache(maxsize=16)
-@with_one_thread
-def _modes_of(manipulator, count, static):
     if count and static:
         return StaticModes(manipulator, modes_of(manipulator, count), static)
     if manipulator.arm.uniform:

@@ -80,7 +80,7 @@ class Scene:
     constraints: Constraints
     load: Load
     step: float
-    values: Mapping[str, Any]
+    values: MappingProxyType[str, Any]
     static: tuple[str, ...] = ()
     keeps_axial: bool = False
 
@@ -227,7 +227,7 @@ class Scene:
 
     def vary(self, overrides: Mapping[str, Any]) -> Scene:
         """Return the scene with other values by name, nested or dotted; else ParameterError."""
-        return scene_from({**self.values, **check(flatten(overrides), 'override')})
+        return scene_from(self.values | check(flatten(overrides), 'override'))
 
     def with_fixed_shapes(self) -> Scene:
         """Return the scene with its static shapes named, so that `vary` keeps them."""
@@ -365,9 +365,7 @@ def scene_from(values: Mapping[str, Any], static: tuple[str, ...] | None = None)
 
     `static` are its static shapes, by default those of `model.static_modes`.
     """
-    values = MappingProxyType({
-        name: tuple(value) if isinstance(value := values[name], list) else value
-        for name in _SCENE_NAMES})
+    values = MappingProxyType({name: values[name] for name in _SCENE_NAMES})
     check_together(values)
     body = manipulator_of(values)
     if static is None:

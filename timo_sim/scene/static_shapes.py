@@ -83,7 +83,7 @@ def _left_out(body, count):
 def _missing(body, count, static):
     # Returns what modes and static shapes leave out of these, relative, (2, 2). A shape is all
     # that is left of the response to its load, and answers other loads by their work on it.
-    left = _left_out(body, count)
+    left = _left_out(body.clamped, count)
     for index, load in enumerate(STATIC['both']):
         if load in static and left[index, index] > 0.0:
             left = left - np.outer(left[index], left[index]) / left[index, index]
@@ -117,7 +117,8 @@ def fastest_shape(body: Manipulator, count: int, static: tuple[str, ...], step: 
     if not static or not step or not _of_tip(body.arm)[1]:
         return math.inf
     limit, goal = (_SHEAR_PHASE, _SHEAR_PHASE) if 'shear' in static else (AXIAL_PHASE, SLOWED)
-    return goal / step if step * modes_of(body, count, static).omega[-1] > limit else math.inf
+    omega = modes_of(body.clamped, count, static).omega[-1]
+    return goal / step if step * omega > limit else math.inf
 
 
 def with_shapes(ratios: np.ndarray, body: Manipulator, count: int, axial: int,
@@ -132,7 +133,7 @@ def with_shapes(ratios: np.ndarray, body: Manipulator, count: int, axial: int,
     if ratios.size in (1, arm):
         ratios = np.insert(np.broadcast_to(ratios, (arm,)), count, shapes * [
             np.ravel(ratios)[min(count, ratios.size) - 1]])
-    phase = step * modes_of(body, count, static).omega[count:]
+    phase = step * modes_of(body.clamped, count, static).omega[count:]
     ratios[count:count + shapes] += _STATIC_DAMPING * (
         phase > (_SHEAR_PHASE if 'shear' in static else _STATIC_PHASE))
     return ratios

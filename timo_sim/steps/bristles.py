@@ -116,8 +116,6 @@ def mobilities(model: Formulation, q: tuple[float, ...]) -> np.ndarray:
 
 def fastest(slopes: np.ndarray, mobile: np.ndarray) -> float:
     """Return the largest eigenvalue of forces with slopes, (4,), on joints of `mobilities`."""
-    if not slopes.any():
-        return 0.0
     root = np.sqrt(slopes)
     return max(0.0, *np.linalg.eigvalsh(np.outer(root, root) * mobile)[:, -1])
 
