@@ -251,9 +251,11 @@ class Manipulator:
     @functools.cached_property
     def clamped(self) -> 'Manipulator':
         """That of the same arm and end effector alone, on which modes depend."""
-        return Manipulator(self.arm, 0.0, 0.0, 0.0, self.end_effector_mass,
-                           self.end_effector_inertia,
-                           end_effector_offset=self.end_effector_offset)
+        return Manipulator(
+            arm=self.arm, carrier_mass=0.0, motor_mass=0.0, shaft_inertia=0.0,
+            end_effector_mass=self.end_effector_mass,
+            end_effector_inertia=self.end_effector_inertia,
+            end_effector_offset=self.end_effector_offset)
 
     @property
     def base_mass(self) -> float:
