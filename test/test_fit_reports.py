@@ -17,7 +17,7 @@ from timo_sim.fitting.look import look, turned
 from timo_sim.fitting.objective import Objective
 from timo_sim.fitting.problem import Problem, TimeIsUp
 from timo_sim.fitting.record import Channel
-from timo_sim.fitting.search import Search
+from timo_sim.fitting.search import Minimum, Search
 from timo_sim.fitting.suspects import moves_one_way
 
 T = 0.002 * np.arange(1001)
@@ -273,6 +273,17 @@ def test_an_effect_whose_fit_is_not_better_goes_and_one_that_was_tried_when_time
     assert any(line.startswith(name + 'taken' if stops else f'    {name}')
                for line in found.ladder[-2:])
     assert stops or found.ladder[-1].startswith('an elastic gear: ')  # which is the next best
+
+
+@pytest.mark.parametrize('found, count', [
+    ([(1.0, 4e-4), (0.99997, 2e-4), (0.99996, 2e-4)], 2),
+    ([(1.0, 5e-2), (0.96, 1e-2), (0.955, 1e-5)], 3), ([(1.0, 1e-5)], 1)])
+def test_a_search_goes_on_while_the_fall_that_its_gradient_foresees_is_found(found, count):
+    search = Search(Objective([Problem(ARM, record(), FREE, {}, T[-1])]))
+    minima = [Minimum(cost, search.x, fall) for cost, fall in found]
+    search._solve = lambda *arguments: minima.pop(0)
+    assert search._end(search.x).cost == found[count - 1][0]
+    assert len(minima) == len(found) - count
 
 
 def test_presliding_is_fitted_from_ways_of_the_motion(monkeypatch):

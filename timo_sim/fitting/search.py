@@ -159,12 +159,12 @@ class Search:
         for accuracy in _ENDS:
             if best.fall < _FLAT:
                 break
-            again = self._solve(accuracy, best.x)
+            again, before = self._solve(accuracy, best.x), best
             self._tell(f'the gradient predicted squares lower by {best.fall:.1g} of them; the '
                        f'next search found {again.cost / best.cost:.6g} times as large ones')
-            if not again.cost < best.cost:
-                continue
-            best = again
+            best = min(again, before, key=lambda each: each.cost)
+            if best.cost > (1.0 - _FLAT) * before.cost:  # as where friction makes them jagged
+                break
         return best
 
     def _is_apart(self, x, other, least):
