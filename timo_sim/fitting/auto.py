@@ -7,6 +7,7 @@ from __future__ import annotations
 
 from collections.abc import Callable
 import math
+import time
 from typing import Any, NamedTuple
 
 import numpy as np
@@ -16,13 +17,16 @@ from timo_sim.fitting.objective import Objective
 from timo_sim.fitting.problem import Free, split_guess, TimeIsUp, vary
 from timo_sim.fitting.record import DRIVE, Record
 from timo_sim.fitting.search import INTERRUPTED, Search
-from timo_sim.fitting.suspects import BETTER, MOVING, predict, Suspect, suspects
+from timo_sim.fitting.suspects import BETTER, errors_of, MOVING, predict, Suspect, suspects
 from timo_sim.scene.bodies import motor_constants
 from timo_sim.scene.numbers import overrides_of
 from timo_sim.scene.parameters import ParameterError
 from timo_sim.scene.scene import Scene
 
 _SUSPECTS = 6  # that are tried at a time
+# Most parts of the time that is left: for the plain arm, for a fit with an effect, which is judged
+# after that, and for trials of further ones if one of them is better.
+_PLAIN, _FIT, _TRIALS = 1.0 / 3.0, 0.6, 0.5
 _DELAY = 0.05  # [s] width of delays: of drives, buses and filters
 _DRY, _NEAR_REST = 0.05, 0.05  # friction and its speed, of the largest torque and a usual speed
 _BODIES = {'motor': ('shaft', 'torque', 'voltage'), 'carrier': ('carrier_x', 'force_x', '')}
@@ -102,55 +106,77 @@ def choose(scene: Scene, free: list[str], objective_of: Callable[[Scene, list[st
     Return the Choice of effects with which the end of what is fitted is predicted best.
 
     If the fit with an effect is not a tenth better, as its trial was, the next best is tried.
-    `keep` is called with each scene that is the best so far, and the values found.
+    `keep` is called with each scene that is the best so far, and the values found. Each fit has a
+    part of the time until the `deadline`, so that what was tried is fitted before it is kept.
     """
-    best, line, waiting = Choice(scene, free, {}, []), '', list[Suspect]()
-    search, sure, least = Search(objective_of(scene, free)), best, math.inf
+    def until(part):
+        return (now := time.monotonic()) + part * (deadline - now)
+
+    def search_of(choice):
+        objective = objective_of(choice.scene, choice.free)
+        objective.weigh_as(choice.weighs)
+        return Search(objective, first=choice.values)
+
+    def error_in_all(search, x):
+        search.set_deadline(math.inf)
+        return float(np.mean(errors_of(search.objective, x)))
+
+    def kept(choice, search, x, line):
+        objective = search.objective
+        return Choice(
+            objective.problems[0].scene_of(objective.values(x, 0)),
+            [*{each.name: each.text for problem in objective.problems
+               for each in problem.free}.values()],
+            {free.name: free.value(at) for free, at in zip(objective.free, x)},
+            [*choice.ladder, line], objective)
+
+    sure, waiting = Choice(scene, free, {}, []), list[Suspect]()
+    least, in_all, judged = math.inf, math.inf, True
+    tried: Suspect | None = None
     try:
         while True:
-            objective = objective_of(best.scene, best.free)
-            objective.weigh_as(best.weighs)
-            search = Search(objective, first=best.values)
+            best = _with(tried, sure) if tried else sure
+            search = search_of(best)
+            x = search.settle(starts, not tried, until(_FIT if tried else _PLAIN))
+            name, objective = tried.name if tried else 'the plain arm', search.objective
+            judged, error_of_fit = False, error_in_all(search, x)
             search.set_deadline(deadline)
-            x = search.settle(starts, anew=not line)
-            predicted = predict(objective, x)
+            predicted, judged = predict(objective, x), True
             error = math.exp(np.mean(predicted.errors))
-            line = f'{line or "the plain arm"}: {error:.2%}'
+            line = f'{name}: {error:.2%}' + (
+                ', at the best so far of its search, whose part of the time was up'
+                if search.stopped else '')
             say(f'error of the end of what is fitted, which was held out, {line}')
             if error < BETTER * least:  # than without it, however good its trial was
-                values = {free.name: free.value(at) for free, at in zip(objective.free, x)}
-                sure, least = Choice(  # if a fit with an effect is not possible
-                    objective.problems[0].scene_of(objective.values(x, 0)),
-                    [*{each.name: each.text for problem in objective.problems
-                       for each in problem.free}.values()], values, [*best.ladder, line],
-                    objective), error
-                best = sure
-                keep(sure.scene, str(values))
-                own = {**sure.scene.values, **values}
+                sure, least, in_all = kept(best, search, x, line), error, error_of_fit
+                keep(sure.scene, str(sure.values))
+                own = {**sure.scene.values, **sure.values}
                 found = [each for each in suspects(  # an effect may vanish as it is fitted
-                    objective, x, _SUSPECTS, predicted)
+                    objective, x, _SUSPECTS, predicted, until(_TRIALS))
                     if each.ratio < math.inf and each.effect.changes(own, *each.sizes)]
-                tried = [f'    with {each.name}: {each.ratio * error:.2%}' for each in found]
-                say('\n'.join(['tried', *tried]))
-                sure = sure._replace(ladder=[*sure.ladder, *tried])
+                lines = [f'    with {each.name}: {each.ratio * error:.2%}' for each in found]
+                say('\n'.join(['tried', *lines]))
+                sure.ladder.extend(lines)
                 # What is further off than the mean predicts nothing, however much better it is.
                 waiting = sorted((each for each in found if each.ratio < min(BETTER, 1.0 / error)),
                                  key=lambda each: -each.ratio)
             else:
-                sure = sure._replace(ladder=[*sure.ladder, f'    {line}'])
-            best = sure
+                sure.ladder.append(f'    {line}')
             if not waiting:
                 return sure
-            line = waiting[-1].name
-            best = _with(waiting.pop(), sure)
+            tried = waiting.pop()
     except KeyboardInterrupt as stop:
         reason = str(stop) or INTERRUPTED
-        if best is not sure:  # it was better where it was tried
-            best.ladder.append(f'{line}: taken as it was tried')
-        best = best._replace(values=best.values or search.best,
-                             interrupted=not isinstance(stop, TimeIsUp))
+        if not sure.values:
+            sure = sure._replace(values=search.best)
+        elif not judged and isinstance(stop, TimeIsUp):  # two fits of three say what is better
+            if error_of_fit < in_all + math.log(BETTER):
+                sure = kept(best, search, x, f'{name}: better where it was tried, and in all')
+            else:
+                sure.ladder.append(f'    {name}: not better in all')
+        sure = sure._replace(interrupted=not isinstance(stop, TimeIsUp))
     except (ArithmeticError, ParameterError) as error:
-        best, reason = sure, str(error)
-    what = 'no more effects were' if best.ladder else 'no effect was'
+        reason = str(error)
+    what = 'no more effects were' if sure.ladder else 'no effect was'
     say(line := f'{what} tried: {reason}')
-    return best._replace(ladder=[*best.ladder, line])
+    return sure._replace(ladder=[*sure.ladder, line])

@@ -51,7 +51,7 @@ _FAR_START = 0.05  # the same of a first angle off the first sample, of the rang
 _FAR = 10.0  # ratio of an estimate to its first guess, above which there is a warning
 _RUNS, _RUNS_AFTER = 30, 6  # of a fit, and after its search, for each free parameter, roughly
 _KEPT = 0.5  # most of the time of a fit that is kept for these
-_FOR_EFFECTS = 0.6  # part of the time of a fit in which effects are tried
+_FOR_EFFECTS = 0.6  # least part of the time of a fit in which effects are tried
 _MAX_NUMERICAL = 0.2  # part of a residual that may be numerical error
 # What makes an input of a record that of a scene, in this order, see `SENSOR`.
 _TO_AN_INPUT = {'dead_zone': 'take off its dead zone', 'gain': 'multiply it by its gain',
@@ -367,7 +367,7 @@ def fit(scene: SceneLike | None, record: RecordLike | Sequence[RecordLike],
     auto : bool
         Choose the effects, too: from what `free` names, by default the plain arm, effects are
         tried in turn, and kept if the last third of the motion that is fitted, which is held out
-        for that, is predicted better. They may take six tenths of `time`.
+        for that, is predicted better. They may take `time` but that of one more fit.
     keep : function(Scene, str), optional
         Is called, with `auto`, with each scene that is the best so far, and the values found.
 
@@ -446,7 +446,9 @@ def fit(scene: SceneLike | None, record: RecordLike | Sequence[RecordLike],
     choice, first = None, {}
     if auto:
         choice = choose(start, [*free], objective_of, say, keep or (lambda scene, text: None),
-                        begun + _FOR_EFFECTS * (end - begun), starts)
+                        end if time is None else end - min(
+                            (1.0 - _FOR_EFFECTS) * time, (_RUNS + _RUNS_AFTER) * count * run),
+                        starts)
         start, free, starts, first = choice.scene, choice.free, starts or 0, choice.values
         objective = objective_of(start, free)
         objective.weigh_as(choice.weighs)

@@ -32,6 +32,7 @@ class Accuracy(NamedTuple):
 # Starts are only tried: the best one is followed.
 _TRY = Accuracy(ftol=1e-2, xtol=1e-4, max_nfev=12, step=1e-3)
 _LOOSE = Accuracy(ftol=1e-4, xtol=1e-4, max_nfev=60, step=1e-3)
+_ROUGH = Accuracy(ftol=1e-3, xtol=1e-4, max_nfev=25, step=1e-3)  # as trials of effects
 _TIGHT = Accuracy(ftol=1e-7, xtol=1e-7, max_nfev=60, step=1e-6)
 _ENDS = [_TIGHT._replace(step=1e-3), _TIGHT._replace(step=1e-5)] * 2  # one after the other
 _TINY = 1e-300
@@ -137,15 +138,27 @@ class Search:
         """The best values so far, by name."""
         return {free.name: free.value(at) for free, at in zip(self.objective.free, self._best[1])}
 
-    def settle(self, starts: int | None = None, anew: bool = False) -> np.ndarray:
-        """Return x and find deviations roughly: from the first, or from few starts."""
-        return self._settle(self._try_starts(starts, _FEW_STARTS)[0] if anew else self.first,
-                            _SETTLED_ENOUGH)
+    def settle(self, starts: int | None = None, anew: bool = False,
+               until: float = math.inf) -> np.ndarray:
+        """
+        Return x and find deviations roughly: from the first, or from few starts.
 
-    def _settle(self, x, enough=_SETTLED_CHANGE):
+        After `until`, a time of `time.monotonic`, x are the best so far, and it is `stopped`.
+        """
+        self.set_deadline(until)
+        try:
+            return self._settle(self._try_starts(starts, _FEW_STARTS, _ROUGH)[0] if anew
+                                else self.first, _SETTLED_ENOUGH, _ROUGH)
+        except TimeIsUp as stop:
+            self.stopped = str(stop)
+            self.set_deadline(math.inf)
+            self.objective.estimate_deviations(self._best[1])
+            return self._best[1]
+
+    def _settle(self, x, enough=_SETTLED_CHANGE, accuracy=_LOOSE):
         """Return the minimum near x, with the deviations of the sensors that it finds."""
         for number in range(1, _MAX_SEARCHES + 1):
-            x = self._solve(_LOOSE, x).x
+            x = self._solve(accuracy, x).x
             change = self.objective.estimate_deviations(x)
             self._tell(f'search {number} of up to {_MAX_SEARCHES}: its residuals change the '
                        f'standard deviations of the sensors by {100.0 * change:.2g} %')
@@ -172,7 +185,7 @@ class Search:
         linear = self.objective.jacobian(other, _WIDE, False) @ (x - other)
         return 0.5 * linear @ linear > _SAME * least
 
-    def _try_starts(self, starts, limit=_MAX_STARTS):
+    def _try_starts(self, starts, limit=_MAX_STARTS, accuracy=_LOOSE):
         """Return the best x from several starts, then others that are as good."""
         objective, part = self.objective, self.objective.of_first_parts()
         most = f'{starts}' if starts else f'up to {limit}'
@@ -185,7 +198,7 @@ class Search:
 
         for start in self._starts(starts or limit):
             self.tried = len(firsts) + 1
-            first = self._solve(_LOOSE, start, part)
+            first = self._solve(accuracy, start, part)
             text = (f'start {self.tried} of {most}: rms residual {rms(start):.3g} -> '
                     f'{rms(first.x):.3g} deviations in the first part')
             # Where the arm hardly moves at first, all starts fit that part equally well: their

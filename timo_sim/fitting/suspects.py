@@ -16,6 +16,7 @@ from __future__ import annotations
 from collections.abc import Callable, Iterator, Mapping, Sequence
 from copy import copy
 import math
+import time
 from typing import Any, NamedTuple
 
 import numpy as np
@@ -45,6 +46,7 @@ BETTER = 0.9  # ratio of errors there, below which a suspect predicts better
 _FINE = 1e-3  # error, of the spread of an output, below which others count for more
 _WORTHWHILE, _BENT = 0.5, 0.2  # share, of the largest, above which effects are fitted
 _STEP, _TOLERANCE, _MAX_RUNS = 1e-3, 1e-3, 25  # of differences and fits, see `least_squares`
+_STAGES, _WORTH_ANOTHER = 3, 0.95  # of fits for a choice; ratio of squares after one and before it
 _STRETCHED, _CLAMP, _DEAD = (0.1, 1.0), (0.1, 0.5), (0.02, 0.1)  # of usual sizes
 _HELD, _HELD_MOST, _HELD_FITS = 0.01, math.log(3.0), 4  # logarithms of factors; fits
 _NEARLY, _LITTLE = 3.0, 0.1  # what a held value leaves, to first order, up to which it is fitted
@@ -99,12 +101,12 @@ class Suspect(NamedTuple):
 
 
 def suspects(objective: Objective, x: np.ndarray, most: int = 0,
-             plain: Any = None) -> list[Suspect]:
+             plain: Any = None, until: float = math.inf) -> list[Suspect]:
     """
     Return the Suspects of a fit that has ended at x, that of the largest share first.
 
     The likely ones, or as many as `most`, are fitted; `plain` is what `predict` finds without
-    them, if it is known.
+    them, if it is known. After `until`, a time of `time.monotonic`, no more are, if one is better.
     """
     problem = objective.problems[0]
     if np.any(np.abs(here := objective.residuals(x)) >= DIVERGED):
@@ -151,13 +153,17 @@ def suspects(objective: Objective, x: np.ndarray, most: int = 0,
         worth &= effect.width == math.inf or effect in likely
         ratio, end = math.inf, None
         if worth:
+            better = any(each.ratio < BETTER for each in found)
+            if better and time.monotonic() > until:
+                break
             try:
-                plain = plain or predict(objective, x)
-                with_it = predict(objective, x, effect, sizes)
+                plain = plain or predict(objective, x, stages=1)
+                with_it = predict(objective, plain.x if most else x, effect, sizes,
+                                  _STAGES if most else 1)
             except TimeIsUp:
-                if not most or all(each.ratio >= BETTER for each in found):
+                if not most or not better:
                     raise
-                break  # what was better until then is better than nothing
+                break
             rise, sizes, end = with_it.errors - plain.errors, with_it.sizes, with_it.x
             # What betters some at the cost of another betters nothing.
             ratio = math.exp(np.mean(rise) if max(rise) < -math.log(BETTER) else max(rise))
@@ -189,9 +195,13 @@ class Predicted(NamedTuple):
 
 
 def predict(objective: Objective, x: np.ndarray, effect: _Effect | None = None,
-            sizes: Any = ()) -> Predicted:
-    """Return what is Predicted of the last third of the motion by a fit to the rest, near x."""
-    whole, terms, varied = objective, [], []
+            sizes: Any = (), stages: int = _STAGES) -> Predicted:
+    """
+    Return what is Predicted of the last third of the motion by a fit to the rest, near x.
+
+    That ends with the first of some `stages`, but for the first, that lowers squares by < 5 %.
+    """
+    whole, varied = objective, []
     if effect:
         low = np.where(np.arange(len(sizes)) < len(effect.trials[0]), effect.low, 0.0)
         varied = [] if effect.low == 1.0 else sizes
@@ -199,16 +209,30 @@ def predict(objective: Objective, x: np.ndarray, effect: _Effect | None = None,
             own, *(some or sizes)), varied, low[:len(varied)])
     part = copy(whole)
     part.ends = [float(np.mean(times_of_motion(each, _INNER))) for each in objective.problems]
-    x = least_squares(
-        part.residuals, part.within(np.append(x, np.ones(len(varied)))),
-        lambda x: part.jacobian(x, _STEP, False), (part.low, part.high), x_scale='jac',
-        loss=part.loss, ftol=_TOLERANCE, max_nfev=_MAX_RUNS).x
-    for (k, name, measured), rows in zip(objective.series(), whole.split(whole.residuals(x))):
-        late = objective.problems[k].record.outputs[name].t[:len(rows)] > part.ends[k]
+    x, cost = np.append(x, np.ones(len(varied))), math.inf
+    for _ in range(stages):
+        end = least_squares(
+            part.residuals, part.within(x), lambda x: part.jacobian(x, _STEP, False),
+            (part.low, part.high), x_scale='jac', loss=part.loss, ftol=_TOLERANCE,
+            max_nfev=_MAX_RUNS // stages)
+        x, cost, before = end.x, end.cost, cost
+        if cost > _WORTH_ANOTHER * before:
+            break
+    errors = errors_of(whole, x, part.ends)
+    x, factors = np.split(x, [len(objective.free)])
+    return Predicted(errors, x, factors * varied if len(varied) else sizes)
+
+
+def errors_of(objective: Objective, x: np.ndarray, begins: Sequence[float] = ()) -> np.ndarray:
+    """Return logarithms of rms errors of outputs, over their spreads, from some times [s] on."""
+    terms = []
+    for (k, name, measured), rows in zip(
+            objective.series(), objective.split(objective.residuals(x))):
+        late = objective.problems[k].record.outputs[name].t[:len(rows)] > (
+            begins[k] if begins else -math.inf)
         size = (objective.deviations[k][name] / (np.std(measured) or 1.0))**2
         terms.append(0.5 * np.log(np.mean(rows[late]**2) * size + _FINE**2))
-    x, factors = np.split(x, [len(objective.free)])
-    return Predicted(np.array(terms), x, factors * varied if len(varied) else sizes)
+    return np.array(terms)
 
 
 def name_suspects(found: list[Suspect]) -> Iterator[str]:
