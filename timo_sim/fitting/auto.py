@@ -17,7 +17,8 @@ from timo_sim.fitting.objective import Objective
 from timo_sim.fitting.problem import Free, split_guess, TimeIsUp, vary
 from timo_sim.fitting.record import DRIVE, Record
 from timo_sim.fitting.search import INTERRUPTED, Search
-from timo_sim.fitting.suspects import BETTER, errors_of, MOVING, predict, Suspect, suspects
+from timo_sim.fitting.suspects import (
+    BETTER, errors_of, MOVING, predict, SPRING, Suspect, suspects, TILTED)
 from timo_sim.scene.bodies import motor_constants
 from timo_sim.scene.numbers import overrides_of
 from timo_sim.scene.parameters import ParameterError
@@ -138,6 +139,16 @@ def choose(scene: Scene, free: list[str], objective_of: Callable[[Scene, list[st
             best = _with(tried, sure) if tried else sure
             search = search_of(best)
             x = search.settle(starts, not tried, until(_FIT if tried else _PLAIN))
+            plane = next((each for each in waiting if each.effect.free == TILTED), None)
+            if plane and tried and tried.effect.free == SPRING:
+                # Where the record is not, a plane's torque is bounded, and a spring's is not.
+                rival = search_of(_with(plane, sure))
+                end = rival.settle(until=until(_FIT))
+                if error_in_all(rival, end) < error_in_all(search, x) - math.log(BETTER):
+                    sure.ladder.append(f'    {tried.name}: not a tenth better in all than '
+                                       f'{plane.name}')
+                    best, search, x = _with(plane, sure), rival, end
+                    waiting[waiting.index(plane)], tried = tried, plane
             name, objective = tried.name if tried else 'the plain arm', search.objective
             judged, error_of_fit = False, error_in_all(search, x)
             search.set_deadline(deadline)

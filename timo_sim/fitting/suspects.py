@@ -52,8 +52,8 @@ _HELD, _HELD_MOST, _HELD_FITS = 0.01, math.log(3.0), 4  # logarithms of factors;
 _NEARLY, _LITTLE = 3.0, 0.1  # what a held value leaves, to first order, up to which it is fitted
 _GEAR = 'motor.rotor.inertia', 'motor.gear.stiffness', 'motor.gear.damping'
 MOVING = 'initial.modal_coordinates[0]', 'initial.modal_rates[0]'
-_TILTED = 'gravity[0]', 'gravity[1]'
-_SPRING = 'motor.spring.stiffness', 'motor.spring.rest'
+TILTED = 'gravity[0]', 'gravity[1]'
+SPRING = 'motor.spring.stiffness', 'motor.spring.rest'
 _TO_A_SIDE, _WAYS = ('.coulomb_asymmetry', '.bias', '.spring.stiffness', 'gravity[0]'), 50
 _ALIKE = 1.5  # ratio of what suspects leave to what the first leaves, up to which they are named
 
@@ -140,6 +140,10 @@ def suspects(objective: Objective, x: np.ndarray, most: int = 0,
         # fit begins at each of its trials.
         tried += sorted(of_trials, key=lambda each: -each[0])[:None if guesses else 1]
     tried.sort(key=lambda each: -each[0])
+    if most:  # A tilted plane explains a little of anything: it is the rival of a spring alone.
+        place = next((k for k, each in enumerate(tried) if each[1].free == SPRING), len(tried))
+        order = {id(each): k for k, each in enumerate(tried)}
+        tried.sort(key=lambda each: place + 0.5 if each[1].free == TILTED else order[id(each)])
     own = {**problem.scene.values, **objective.values(x, 0)}
     # Of held values that explain about as much, as a length and a stiffness do, a few are fitted.
     held = [each for each in tried if each[1].width < math.inf]
@@ -147,8 +151,9 @@ def suspects(objective: Objective, x: np.ndarray, most: int = 0,
     likely = [each[1] for each in (*held[:_HELD_FITS // 2], *sorted(
         near, key=lambda each: abs(each[2][0]) / each[1].width)[:_HELD_FITS])]
     for rank, (share, effect, sizes) in enumerate(tried):
-        # What is all or nothing has no first order. Tilted planes explain a little of anything.
-        worth = (rank < most or effect.bends) and effect.free != _TILTED if most else (
+        # What is all or nothing has no first order.
+        worth = (any(each.effect.free == SPRING and each.ratio < BETTER for each in found)
+                 if effect.free == TILTED else rank < most or effect.bends) if most else (
             share > (_BENT if effect.bends else _WORTHWHILE) * tried[0][0] or effect.low == 1.0)
         worth &= effect.width == math.inf or effect in likely
         ratio, end = math.inf, None
@@ -291,9 +296,9 @@ def _effects(objective: Objective, x: np.ndarray) -> Iterator[_Effect]:
                                       'motor.gear.backlash': size})
     if forces[2] and not own['motor.spring.stiffness']:
         yield _Effect(
-            'a spring on the shaft, as of a cable', _SPRING,
+            'a spring on the shaft, as of a cable', SPRING,
             [[part * float(forces[2] / run.shaft.std())] for part in _STRETCHED],
-            change=lambda own, size: dict(zip(_SPRING, (size, own['initial.shaft']))))
+            change=lambda own, size: dict(zip(SPRING, (size, own['initial.shaft']))))
     # With one mode it is no other than a softer arm.
     if own['arm.root_stiffness'] == math.inf and own['model.modes'] > 1:
         arm = run.model.manipulator.arm
@@ -303,7 +308,7 @@ def _effects(objective: Objective, x: np.ndarray) -> Iterator[_Effect]:
              for part in _CLAMP],
             _LEAST, lambda _, size: {'arm.root_stiffness': 1.0 / size}, bends=True)
     if not any(own['gravity']):
-        yield _Effect('gravity, as of a tilted plane', _TILTED,
+        yield _Effect('gravity, as of a tilted plane', TILTED,
                       [[size, size] for size in _GRAVITY], both)
     channels = {**problem.record.inputs, **problem.record.outputs}
     early = {each for each in channels if each != DRIVE and f'{each}.delay' not in values}
