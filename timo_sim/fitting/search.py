@@ -176,8 +176,8 @@ class Search:
             self._tell(f'the gradient predicted squares lower by {best.fall:.1g} of them; the '
                        f'next search found {again.cost / best.cost:.6g} times as large ones')
             best = min(again, before, key=lambda each: each.cost)
-            if best.cost > (1.0 - _FLAT) * before.cost:  # as where friction makes them jagged
-                break
+            if best.cost > (1.0 - _FLAT) * before.cost and accuracy.step < _WIDE:
+                break  # nor did a wide step find it, as where friction makes squares jagged
         return best
 
     def _is_apart(self, x, other, least):
