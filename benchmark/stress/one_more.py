@@ -24,16 +24,17 @@ MODES, COUNT = (3, 4, 5), 40
 _SEEN = 1e-7  # true error that counts [lengths]
 
 
-def drawn(number, modes):
+def some(number, modes):
     """Return a random scene of the stress test, its steps and those between samples, or None."""
-    values, steps, every = cell(number)[2:5]
+    drawn = cell(number)
+    values = drawn.values
     if values['model.formulation'] != 'exact' or values['model.axial_modes'] or (
             not values['model.modes'] or 'motor.coulomb_friction' in values):
         return None
     first = values.get('initial.modal_coordinates', [0.0])[:1]
     return timo_sim.load_scene({}, {
         **values, 'model.modes': modes,
-        'initial.modal_coordinates': first + (modes - 1) * [0.0]}), steps, every
+        'initial.modal_coordinates': first + (modes - 1) * [0.0]}), drawn.steps, drawn.every
 
 
 def bent(number, modes):
@@ -74,9 +75,9 @@ def ratios(scene, steps, every):
 
 
 def main():
-    """Print all ratios' range."""
+    """Print the range of the ratios by kind of scene, number of modes and finer run."""
     warnings.simplefilter('ignore', timo_sim.ModelWarning)
-    for draw in drawn, bent:
+    for draw in some, bent:
         for modes in MODES:
             found, number = [], 0
             while len(found) < COUNT:

@@ -470,7 +470,7 @@ def _interpolate(times, step, values):
         return values[np.clip(whole, 0, len(values) - 1).astype(int)]
     # Before the start of the run, its first motion is used.
     position = np.clip(position, 0.0, len(values) - 1.0)
-    if len(values) < 6:
+    if len(values) < 6:  # too few for the equations of a spline
         return np.interp(position, np.arange(len(values)), values)
     # Second derivatives of the cubic spline, by steps: (M_(k-1) + 4 M_k + M_(k+1)) / 6 is the
     # second difference, and the third derivative does not jump next to the ends.
