@@ -33,7 +33,7 @@ def written(folder, kind):
     table = {'clock': 7000.0 + 1e3 * T, 'hub': np.degrees(ANGLE), 'u': (0.1 - TORQUE) / 0.5}
     path = folder / f'table.{kind}'
     if kind == 'parquet':
-        pyarrow = pytest.importorskip('pyarrow')
+        pytest.importorskip('pyarrow')
         import pyarrow.parquet
         pyarrow.parquet.write_table(pyarrow.table(table), path)
     elif kind == 'mat':
@@ -250,7 +250,7 @@ def test_a_bag_of_a_rig(tmp_path):
 @pytest.mark.parametrize('unit', ['s', 'ms', 'us', 'ns'])
 def test_stamps_have_units_of_their_own(tmp_path, unit):
     """Dates, durations and whole numbers of ns since 1970, which floats would round to 256 ns."""
-    pyarrow = pytest.importorskip('pyarrow')
+    pytest.importorskip('pyarrow')
     import pyarrow.parquet
     ticks = {'s': 1, 'ms': 10, 'us': 10_001, 'ns': 10_000_001}[unit]
     since = ticks * np.arange(200)
@@ -278,7 +278,7 @@ NOT_REAL = [
 def test_columns_without_real_numbers_are_refused(tmp_path):
     for kind, values in NOT_REAL:
         if kind == 'parquet':
-            pyarrow = pytest.importorskip('pyarrow')
+            pytest.importorskip('pyarrow')
             import pyarrow.parquet
             pyarrow.parquet.write_table(pyarrow.table({'t': T[:len(values)], 'theta': values}),
                                         tmp_path / 'a.parquet')

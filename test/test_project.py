@@ -43,8 +43,7 @@ def python(*arguments, **options):
 def test_linters():
     started = [subprocess.Popen([sys.executable, '-m', *command], cwd=ROOT, text=True,
                                 stdout=subprocess.PIPE, stderr=subprocess.STDOUT)
-               for command in (['flake8', *FOLDERS], ['mypy', 'timo_sim', 'benchmark'],
-                               ['pydocstyle', 'timo_sim', 'bringup', 'hardware'])]
+               for command in (['ruff', 'check', '--no-cache'], ['mypy', 'timo_sim', 'benchmark'])]
     told = [process.communicate()[0] for process in started]
     assert not any(process.returncode for process in started), '\n'.join(told)
 

@@ -529,10 +529,10 @@ def fit(records: tuple[str, ...], scene: str | None, free: tuple[str, ...],
     from timo_sim.fitting.result import fit, read_scene_and_records
     from timo_sim.scene.files import check_new, scene_text, whole_file
     from timo_sim.scene.parameters import ModelWarning
-    from timo_sim.scene.scene import load_scene, Scene
+    from timo_sim.scene.scene import load_scene
     _require(matplotlib=png)
 
-    def keep(scene: Scene, text: str) -> None:
+    def keep(scene, text):
         if output:
             with whole_file(output) as part:
                 part.write_text(f'# Best so far of timo_sim fit --auto: {text}\n'
