@@ -172,7 +172,8 @@ class Simulator(Stateful, PointsOfArm):
     @property
     def motion(self) -> Motion:
         """The motion now, see `Motion`."""
-        return Motion(self.integration.motion(self._state, self._load))
+        with self._lock:
+            return Motion(self.integration.motion(self._state, self._load))
 
     @property
     def sensors(self) -> Sensors:
@@ -186,9 +187,10 @@ class Simulator(Stateful, PointsOfArm):
 
     def snapshot(self) -> Snapshot:
         """Return a Snapshot of now."""
-        return Snapshot(scene=self.scene, model=self.model, step=self.steps,
-                        motion=self.motion.values, load=self._load.tolist(),
-                        acts=(self._state.copy(), self.integration.acting(self.load)))
+        with self._lock:
+            return Snapshot(scene=self.scene, model=self.model, step=self.steps,
+                            motion=self.motion.values, load=self._load.tolist(),
+                            acts=(self._state.copy(), self.integration.acting(self.load)))
 
     def reset(self) -> None:
         """Return to the initial motion and the start of the loads; the count of steps goes on."""

@@ -121,7 +121,7 @@ class Sensors:
         return f'<Sensors {", ".join(f"{name} = {getattr(self, name)}" for name in dir(self))}>'
 
     def __getattr__(self, name):
-        if name not in dir(self):
+        if name not in FIRST_AXES:
             raise AttributeError(f'there is no sensor {name!r}; there are {", ".join(dir(self))}')
         axes = self._snapshot.sensor(name)
         return axes[0] if len(axes) == 1 else np.array(axes)

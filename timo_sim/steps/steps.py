@@ -58,9 +58,10 @@ class Steps:
         self.bristles = _frictionless(len(model.gear_row)) if self._friction is None else pack(
             Bristles._make(each[0] for each in bristles_of([model], step, bristles[np.newaxis])))
         self._swing = swing_of(model, bristles)
-        # The key is the number of a sector, None without; all steps of this length share parts.
-        self._parts, self._advance = model.linear_parts(step), dict[int | None, Call]()
+        # By the number of a sector, None without; all steps of this length share parts.
+        self._parts, self._advance = model.linear_parts(step), dict[tuple, Call]()
         self._no_samples = Samples(0, np.empty((0, model.size)), np.zeros(0))
+        self._now = Samples(1, np.empty((1, model.size)), np.zeros(1))  # room for `motion`
 
     def __getstate__(self):
         return {**vars(self), '_parts': None, '_advance': {}}
@@ -110,10 +111,12 @@ class Steps:
                 return done
             load = loads[done - 1, AFTER]  # the shaft has turned into another sector
 
-    def _call(self, sector):
-        if sector not in self._advance:
-            self._advance[sector] = etdrk4.advance.of(*self.part(sector), self.bristles)
-        return self._advance[sector]
+    def _call(self, sector, steps=True):
+        # Each is called with the same arrays again, which is fast: `Call` knows them.
+        key = sector, steps
+        if key not in self._advance:
+            self._advance[key] = etdrk4.advance.of(*self.part(sector), self.bristles)
+        return self._advance[key]
 
     def part(self, sector: int | None) -> tuple[Packed, Packed]:
         """
@@ -129,6 +132,7 @@ class Steps:
 
     def motion(self, state: np.ndarray, load: np.ndarray) -> np.ndarray:
         """Return the motion of a state under a load, shape (2 (3 + N),)."""
-        samples = self.samples(0, 1)
-        self.advance(state, load, NO_LOADS, samples)
-        return samples.motions[0]
+        _, motions, heat = self._now
+        self._call(self.model.sector(state, load), steps=False)(
+            self.memory, state, load, NO_LOADS, 0, 1, 0, motions, heat)
+        return motions[0].copy()
