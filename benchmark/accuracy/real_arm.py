@@ -29,6 +29,7 @@ from scipy.signal import lfilter, savgol_filter
 
 from benchmark import ROOT
 from benchmark.accuracy.clock import LONG, mend, pauses, SAMPLE
+from benchmark.accuracy.unpack import unpack
 from benchmark.drawing import save
 from benchmark.report import make_page, table
 import timo_sim
@@ -115,7 +116,7 @@ CASES = [
          'boulder_213_columns.yaml', 'boulder_213.yaml', gear=48.4),
 ]
 _LAB_6, _SERIAL = 'ASEN2003/Lab 6: Rotary Arm', 'quanser-2-dof-serial-flexible-link/software'
-_RULER = 'systemid/example/2009-04-21'
+_RULER, _PIEZO = 'systemid/example/2009-04-21', 'piezo_control/matlab/db/Old/2014-06-23'
 BLIND = [
     Case('blind_ruler', 'a robot of one ruler', f'{_RULER}/swept1-0-10hz.txt',
          'blind_ruler_columns.yaml', 'blind_ruler.yaml', step=0.004,
@@ -153,6 +154,24 @@ BLIND = [
     Case('blind_rates', 'Boulder, feedback of one rate', f'{_LAB_6}/flexarm_K1K2K3_6_-3_213',
          'blind_rates_columns.yaml', 'boulder_213.yaml',
          other=(f'{_LAB_6}/flexarm_K1K2K3k4_6_-3_213_2', 'blind_rates_columns.yaml')),
+    # The third blind test.
+    Case('blind_genoa', 'Genoa', 'SSCSA/FRF/FRF_sc_sc_new_table.csv', 'blind_genoa_columns.yaml',
+         'blind_genoa.yaml', step=0.004),
+    Case('blind_buenos_aires', 'Buenos Aires', f'{_PIEZO} 15h21m58s_table.csv',
+         'blind_buenos_aires_columns.yaml', 'blind_buenos_aires.yaml', step=0.03,
+         other=(f'{_PIEZO} 15h23m39s_table.csv', 'blind_buenos_aires_columns.yaml')),
+    Case('blind_strip', 'a robot of one strip', 'ben_fea_vs_exp/swept_sine_kp_1_amp_50.txt',
+         'blind_strip_columns.yaml', 'blind_strip.yaml', step=0.004,
+         other=('ben_fea_vs_exp/OL_pulse_test_sys_check_SLFR_RTP_OL_Test_uend=0.txt',
+                'blind_strip_columns.yaml')),
+    Case('blind_servo', 'Bratislava, from its servo on',
+         'AutomationShield_R2/matlab/examples/LinkShield/LinkShield_ID_Data.mat',
+         'blind_servo_columns.yaml', 'blind_servo.yaml', step=0.005),
+    Case('blind_april', 'Boulder, feedback of angle and strain', f'{_LAB_6}/flexarm_k1k2_6_-3',
+         'blind_april_columns.yaml', 'boulder_april.yaml'),
+    Case('blind_square', 'Lisbon, the third unit again',
+         'CC-Lab/cc_lab2/3a_sim_square_fa_150Hz/workspace.mat',
+         'blind_lisbon_2016_columns.yaml', 'blind_lisbon.yaml'),
 ]
 
 
@@ -216,8 +235,9 @@ def with_rotor(scene, ratio):
 def read(record, columns):
     """Return the Record of a file in the folder of the data; a mended one is made."""
     path = DATA / record
-    if path.stem.endswith('_clock') and not path.exists():
-        mend(path.with_stem(path.stem.removesuffix('_clock')))
+    for end, make, kind in ('_clock', mend, '.csv'), ('_table', unpack, '.mat'):
+        if path.stem.endswith(end) and not path.exists():
+            make(path.with_name(f'{path.stem.removesuffix(end)}{kind}'))
     return timo_sim.read_record(path, FILES / columns)
 
 
@@ -470,6 +490,8 @@ def overview():
         hand, *rivals, trials = by_hand.get(case.name, [None, {}, {}, {}])
         rivals = [held_out(each) for each in rivals]
         own = alone.get(case.name, {})
+        if not hand and not own:
+            continue
         kept = [*own.get('kept', []), *['its time was up'] * own.get('stopped', False)]
         done, star = 'held' in own, ' *' * own.get('before', False)
         rows.append([
