@@ -150,6 +150,17 @@ def test_a_run_begins_where_the_record_does():
     assert not any('is taken' in line for line in fit(record(), free, quick=True).look)
 
 
+@pytest.mark.parametrize('size', [0.3, 1e-4])
+def test_friction_that_is_added_builds_up_as_fast_as_steps_allow(size):
+    """In a record with large torques at small speeds, too, such as one with a wrong gain."""
+    t = 0.01 * np.arange(400)
+    measured = timo_sim.Record.of({'torque': (t, np.sin(t))}, {'shaft': (t, size * np.sin(t))})
+    scene, free = auto.plain(ARM.vary({'integrator.step': 0.01}), measured)
+    assert scene.step == 0.01 and 'motor.coulomb_friction' in free
+    with pytest.raises(timo_sim.ParameterError, match='coulomb_speed'):
+        scene.vary({'motor.coulomb_speed': 0.9 * scene.values['motor.coulomb_speed']})
+
+
 def test_what_a_record_says_is_told_before_the_search():
     volts = np.clip(VOLTAGE, -2.4, 2.4)
     measured = record(volts=volts, told=volts, signs=(1.0, -1.0))

@@ -21,7 +21,7 @@ from timo_sim.fitting.suspects import (
     BETTER, errors_of, MOVING, predict, SPRING, Suspect, suspects, TILTED)
 from timo_sim.scene.bodies import motor_constants
 from timo_sim.scene.numbers import overrides_of
-from timo_sim.scene.parameters import ParameterError
+from timo_sim.scene.parameters import ParameterError, StepError
 from timo_sim.scene.scene import Scene
 
 _SUSPECTS = 6  # that are tried at a time
@@ -80,7 +80,12 @@ def plain(scene: Scene, record: Record) -> tuple[Scene, list[str]]:
     alone = bool(late) and len(seen) == len(record.outputs)  # one delay is that of the input
     free += [f'{name}.delay~{_DELAY}' for name in late + seen[alone:]]
     free += [*MOVING] if values['model.modes'] else []
-    return scene.vary(changes), free
+    try:
+        return scene.vary(changes), free
+    except StepError as error:  # friction that is added builds up as fast as the steps allow
+        slower = {name: scene.step / error.longest * value for name, value in changes.items()
+                  if name.endswith('coulomb_speed')}
+        return scene.vary({**changes, **slower}), free
 
 
 def _with(suspect, choice):
