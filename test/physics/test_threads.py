@@ -64,6 +64,17 @@ def test_threads_give_the_bits_of_one_run_after_the_other(names, hurried):
     assert together == [numbers(fresh(name)) for name in names]
 
 
+def test_a_snapshot_is_of_one_step_while_another_thread_advances():
+    """A rigid arm that turns freely at 3 rad/s tells the time by its angle."""
+    simulator = timo_sim.Simulator({'model.modes': 0, 'initial.shaft_velocity': 3.0})
+    start, step = simulator.motion.shaft, simulator.scene.step
+    with ThreadPoolExecutor(1) as pool:
+        ends = pool.submit(lambda: [simulator.advance(50) for _ in range(1000)])
+        while not ends.done():
+            seen = simulator.snapshot()
+            assert abs(seen.joint_positions[2] - start - 3.0 * seen.step * step) < 1e-6
+
+
 # Prints the constants that machine code gets: nothing else in a step comes from BLAS.
 _CONSTANTS = """
 import hashlib, timo_sim
