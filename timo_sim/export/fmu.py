@@ -5,6 +5,7 @@
 
 from __future__ import annotations
 
+from functools import partial
 import hashlib
 import math
 from pathlib import Path
@@ -94,10 +95,7 @@ def export_fmu(scene: SceneLike, path: Path | str, version: int = 3, estimate: b
     check_target(path)
     variables = _variables(interface_of(scene, estimate))
 
-    def describe(token):
-        return (_description_2 if version == 2 else _description_3)(
-            path.stem, token, scene.step, variables)
-
+    describe = partial(_description, version, path.stem, step=scene.step, variables=variables)
     with TemporaryDirectory() as folder:
         write_c(scene, folder, target, estimate, _NAME, derivatives=False)
         files = {file: Path(folder, file).read_bytes() for file in (f'{_NAME}.h', f'{_NAME}.o')}
@@ -148,26 +146,6 @@ def _add(parent, tag, **attributes):
         for name, value in attributes.items()})
 
 
-def _root(version, name, step, **token):
-    return ElementTree.Element('fmiModelDescription', {
-        'fmiVersion': version, 'modelName': name, **token,
-        'description': _MEANING.format(__version__, step), 'version': __version__,
-        'generationTool': f'timo_sim {__version__}', 'variableNamingConvention': 'flat'})
-
-
-def _add_common_parts(root, step, variables):
-    units = _add(root, 'UnitDefinitions')
-    for name in dict.fromkeys(each.unit for each in variables if each.unit):
-        _add(units, 'Unit', name=name)
-    _add(_add(root, 'LogCategories'), 'Category', name='logStatusError')
-    _add(root, 'DefaultExperiment', startTime=0.0, stepSize=step)
-
-
-def _text(root):
-    ElementTree.indent(root)
-    return ElementTree.tostring(root, encoding='UTF-8', xml_declaration=True) + b'\n'
-
-
 def _kind(variable):
     if variable.causality == 'parameter':
         return {'causality': 'parameter', 'variability': 'tunable', 'initial': 'exact'}
@@ -184,39 +162,41 @@ def _value(variable):
     return found
 
 
-def _description_3(name, token, step, variables):
-    root = _root('3.0', name, step, instantiationToken=token)
-    _add(root, 'CoSimulation', modelIdentifier=_NAME, canGetAndSetFMUState=True,
-         canSerializeFMUState=True, canHandleVariableCommunicationStepSize=False,
-         fixedInternalStepSize=step)
-    _add_common_parts(root, step, variables)
+def _description(version, name, token, step, variables):
+    """Return modelDescription.xml; FMI 2 has other names, and puts some elements into others."""
+    old = version == 2
+    root = ElementTree.Element('fmiModelDescription', {
+        'fmiVersion': f'{version}.0', 'modelName': name,
+        'guid' if old else 'instantiationToken': token,
+        'description': _MEANING.format(__version__, step), 'version': __version__,
+        'generationTool': f'timo_sim {__version__}', 'variableNamingConvention': 'flat'})
+    state = 'FMUstate' if old else 'FMUState'
+    _add(root, 'CoSimulation', modelIdentifier=_NAME, **{
+        f'canGetAndSet{state}': True, f'canSerialize{state}': True,
+        'canHandleVariableCommunicationStepSize': False,
+        **({'canNotUseMemoryManagementFunctions': True} if old else
+           {'fixedInternalStepSize': step})})
+    units = _add(root, 'UnitDefinitions')
+    for unit in dict.fromkeys(each.unit for each in variables if each.unit):
+        _add(units, 'Unit', name=unit)
+    _add(_add(root, 'LogCategories'), 'Category', name='logStatusError')
+    _add(root, 'DefaultExperiment', startTime=0.0, stepSize=step)
     group = _add(root, 'ModelVariables')
     for number, each in enumerate(variables):
-        _add(group, 'Float64', name=each.name, valueReference=number, description=each.meaning,
-             **_kind(each), **_value(each))
+        said = {'name': each.name, 'valueReference': number, 'description': each.meaning,
+                **_kind(each)}
+        if old:
+            _add(_add(group, 'ScalarVariable', **said), 'Real', **_value(each))
+        else:
+            _add(group, 'Float64', **said, **_value(each))
     structure = _add(root, 'ModelStructure')
+    shown = [number for number, each in enumerate(variables) if each.causality == 'output']
     for tag in ('Output', 'InitialUnknown'):
-        for number, each in enumerate(variables):
-            if each.causality == 'output':
-                # Inputs act from the next step on: no output depends on those of now.
-                _add(structure, tag, valueReference=number, dependencies='')
-    return _text(root)
-
-
-def _description_2(name, token, step, variables):
-    root = _root('2.0', name, step, guid=token)
-    _add(root, 'CoSimulation', modelIdentifier=_NAME, canGetAndSetFMUstate=True,
-         canSerializeFMUstate=True, canHandleVariableCommunicationStepSize=False,
-         canNotUseMemoryManagementFunctions=True)
-    _add_common_parts(root, step, variables)
-    group = _add(root, 'ModelVariables')
-    for number, each in enumerate(variables):
-        _add(_add(group, 'ScalarVariable', name=each.name, valueReference=number,
-                  description=each.meaning, **_kind(each)), 'Real', **_value(each))
-    structure = _add(root, 'ModelStructure')
-    for tag in ('Outputs', 'InitialUnknowns'):
-        part = _add(structure, tag)
-        for number, each in enumerate(variables):
-            if each.causality == 'output':
+        part = _add(structure, f'{tag}s') if old else structure
+        for number in shown:  # which depends on no input of now: these act from the next step on
+            if old:
                 _add(part, 'Unknown', index=number + 1, dependencies='')
-    return _text(root)
+            else:
+                _add(part, tag, valueReference=number, dependencies='')
+    ElementTree.indent(root)
+    return ElementTree.tostring(root, encoding='UTF-8', xml_declaration=True) + b'\n'
