@@ -5,7 +5,7 @@
 
 from __future__ import annotations
 
-from collections.abc import Mapping, Sequence
+from collections.abc import Sequence
 from functools import cached_property
 from itertools import accumulate
 from typing import Any
@@ -142,12 +142,6 @@ def reading(scene: Scene, name: str, step: int,
     return tuple(values.tolist())
 
 
-def variance(values: Mapping[str, Any], name: str) -> float:
-    """Return the variance of a sensor's reading, with a uniform error of rounding."""
-    noise, resolution = (values[f'sensor.{name}.{kind}'] for kind in ('noise', 'resolution'))
-    return noise**2 + resolution**2 / 12.0
-
-
 _SENSORS = {sensor.name: sensor for sensor in SENSORS}
 FIRST_AXES = dict(zip(_SENSORS, accumulate((len(each.columns) for each in SENSORS), initial=0)))
 
@@ -226,11 +220,14 @@ class Snapshot:
 
     def sensor(self, name: str) -> tuple[float, ...]:
         """Return what a sensor reads, a tuple of float, one for each axis."""
-        return reading(self._scene, name, self.step, _SENSORS[name].quantities(self))
+        return reading(self._scene, name, self.step,
+                       _SENSORS[name].of_joints(self.joints)[0].tolist())
 
     def variance(self, name: str) -> float:
-        """Return the variance of what a sensor reads, on each axis."""
-        return variance(self._scene.values, name)
+        """Return the variance of what a sensor reads; its error of rounding is uniform."""
+        noise, resolution = (self._scene.values[f'sensor.{name}.{kind}']
+                             for kind in ('noise', 'resolution'))
+        return noise**2 + resolution**2 / 12.0
 
     @cached_property
     def energy(self) -> float:

@@ -47,12 +47,6 @@ class Sensor(NamedTuple):
     joint: str = ''
     of_gear: bool = False  # whether only scenes with an elastic gear have its topic
 
-    def quantities(self, snapshot: Any) -> tuple[float, ...]:
-        """Return what it measures in a Snapshot, without noise: a number for each axis."""
-        if self.of_motion:
-            return (float(self.of_motion(snapshot.model, snapshot.motion[np.newaxis])[0]),)
-        return tuple(self.of_joints(snapshot.joints)[0].tolist())
-
     def of_joints(self, joints: Any) -> np.ndarray:
         """Return what it measures in n motions, given as Joints, without noise, (n, axes)."""
         found = self.of_motion(joints.model, joints.motions) if self.of_motion else (
