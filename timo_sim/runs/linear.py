@@ -17,14 +17,13 @@ from timo_sim.extras import optional
 from timo_sim.model.differences import differences
 from timo_sim.model.formulation import Formulation
 from timo_sim.model.layout import (
-    ANGLE, INPUTS, LOADS, Motion, PUSH_X, PUSH_Y, rotate, TIP_TORQUE, TIP_X, TIP_Y, TORQUE,
-    VOLTAGE)
+    ANGLE, INPUTS, LOADS, Motion, PUSH_X, PUSH_Y, rotate, TIP_TORQUE, TIP_X, TIP_Y, VOLTAGE)
 from timo_sim.model.modes import compliance
-from timo_sim.scene.bodies import motor_constants
 from timo_sim.scene.loads import CHANNELS
 from timo_sim.scene.parameters import (
     checked, CONTACT, did_you_mean, numbers, NUMBERS, Parameter, ParameterError, TEXTS, warn)
 from timo_sim.scene.scene import load_scene, Scene, scene_from, SceneLike
+from timo_sim.simulation.loads import unit_loads_of
 from timo_sim.simulation.snapshot import Joints
 from timo_sim.steps.bristles import COLUMNS, REACH
 from timo_sim.topics.outputs import SENSORS
@@ -171,7 +170,7 @@ _UNLOADED = 1e-9  # torque of a gear that is not loaded, relative to stiffness t
 _LEFT_OUT = 0.02  # largest share of a static response that rates may lack without a warning
 
 
-@checked(at=NUMBERS, contact=CONTACT, inputs=TEXTS, outputs=TEXTS)
+@checked(contact=CONTACT, inputs=TEXTS, outputs=TEXTS)
 def linearize(scene: SceneLike, at: np.ndarray | None = None, contact: str = '',
               inputs: Sequence[str] | None = None,
               outputs: Sequence[str] | None = None) -> LinearModel:
@@ -249,9 +248,9 @@ def linearize(scene: SceneLike, at: np.ndarray | None = None, contact: str = '',
     warn_of_friction(scene, formulation)
     a, to_state, places = state_matrix(formulation, at, load, scene.bristles)
 
-    # A rate is linear in a load. That of a voltage is the torque of the motor.
-    units = {INPUTS[column].column: np.eye(LOADS)[column] for column in _INPUTS}
-    units[INPUTS[VOLTAGE].column] = np.eye(LOADS)[TORQUE] * motor_constants(scene.values)[0]
+    # A rate is linear in a load.
+    units = {INPUTS[column].column: unit
+             for column, unit in zip(_INPUTS, unit_loads_of(scene.values, _INPUTS))}
     rates = {name: formulation.rate(state, load + unit) - formulation.rate(state, load)
              for name, unit in units.items()}
     rates = {name: per_load for name, per_load in rates.items() if per_load.any()}
