@@ -13,9 +13,9 @@ import numpy as np
 from timo_sim.log.notes import START, start_note, SUMMARY, TEXT
 from timo_sim.log.write import Channel, Recorder
 from timo_sim.scene.parameters import frame_names
-from timo_sim.topics.cdr import pack, Serializer
+from timo_sim.topics.cdr import pack
 from timo_sim.topics.commands import COMMANDS
-from timo_sim.topics.outputs import in_frames, TRANSFORMS
+from timo_sim.topics.outputs import TRANSFORMS
 
 if TYPE_CHECKING:
     from timo_sim.scene.scene import Scene
@@ -48,9 +48,7 @@ class NewLog(Recorder):
             topic = (name if name.startswith('/') else
                      node + name[1:] if name.startswith('~') else f'{namespace}/{name}')
             delay = round(1e9 * scene.values[output.delay]) if output.delay else 0
-            self._topics[name] = (
-                len(channels), Serializer(output.type_name, in_frames(output.template, frames)),
-                delay, output)
+            self._topics[name] = len(channels), output.serializer(frames), delay
             channels.append(Channel(topic, output.type_name))
         channels.append(Channel(f'{namespace}/{DESCRIPTION}', TEXT, durability='transient_local'))
         super().__init__(path, channels, {START: {**start_note(node, values), **notes}})
@@ -63,9 +61,9 @@ class NewLog(Recorder):
             # A microsecond less, because times are rounded to nanoseconds.
             self._frames_due = snapshot.nanoseconds + self._frames_period - 1000
             self.output(TRANSFORMS.name, snapshot, TRANSFORMS.numbers(snapshot))
-        index, serialize, delay, output = self._topics[name]
+        index, serialize, delay = self._topics[name]
         self.write(index, snapshot.step, snapshot.nanoseconds + delay,
-                   serialize(snapshot.time, output.content(snapshot, numbers)))
+                   serialize(snapshot, numbers))
 
     def close(self) -> None:
         """Complete the file; raise OSError if that fails, or the log has ended early."""

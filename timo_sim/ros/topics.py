@@ -21,9 +21,8 @@ from timo_sim.log.rosbag2 import DEPTH
 from timo_sim.log.write import Channel, Recorder
 from timo_sim.ros.private import take
 from timo_sim.simulation.snapshot import Snapshot
-from timo_sim.topics.cdr import CdrError, pack, Reader, Serializer
+from timo_sim.topics.cdr import CdrError, pack, Reader
 from timo_sim.topics.commands import COMMANDS, GROUPS, RefusedError, TIMED_OUT
-from timo_sim.topics.outputs import in_frames
 
 _DISCOVERY_TIME = 10.0  # [s] of wall time in which a new subscriber discovers the publisher, too
 
@@ -95,15 +94,14 @@ class MotionOutlet(Outlet):
 
     def __init__(self, node, output, frames, publishes=True, delay=0):
         super().__init__(node, output.name, output.type_name, publishes)
-        self._serialize = Serializer(output.type_name, in_frames(output.template, frames))
+        self._serialize = output.serializer(frames)
         self._output, self.rate = output, output.rate
         self.name, self.every, self.delay = output.name, 1, delay
         self.under_way: dict[int, bytes] = {}
 
     def publish(self, snapshot: Snapshot, again: bool = False) -> None:
         """Send the message of a snapshot, or keep it until `deliver`."""
-        data = self._serialize(snapshot.time, self._output.content(
-            snapshot, self._output.numbers(snapshot)))
+        data = self._serialize(snapshot, self._output.numbers(snapshot))
         if self.delay:
             self.under_way[snapshot.step] = data
         else:

@@ -17,7 +17,7 @@ from typing import Any, NamedTuple
 import numpy as np
 
 from timo_sim.model.layout import LINKS, place, with_unit
-from timo_sim.topics.cdr import columns, Number
+from timo_sim.topics.cdr import columns, Number, Serializer
 
 
 class Sensor(NamedTuple):
@@ -153,9 +153,11 @@ class Output(NamedTuple):
     delay: str | None = None
     unlogged: Callable = lambda snapshot: ()
 
-    def content(self, snapshot: Any, numbers: Sequence[float]) -> tuple[float, ...]:
-        """Return `numbers` and those without a name, as many as the template has Numbers."""
-        return (*numbers, *self.unlogged(snapshot))
+    def serializer(self, frames: Mapping[str, str]) -> Callable[[Any, Sequence[float]], bytes]:
+        """Return a function that makes messages, in these FRAMES, of a Snapshot and `numbers`."""
+        serialize = Serializer(self.type_name, in_frames(self.template, frames))
+        return lambda snapshot, numbers: serialize(
+            snapshot.time, (*numbers, *self.unlogged(snapshot)))
 
     @property
     def rate(self) -> str:
