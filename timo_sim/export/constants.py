@@ -49,19 +49,15 @@ class Interface(NamedTuple):
 
 def refuse(scene: Scene, estimate: bool) -> None:
     """Raise ParameterError if a scene has what an exported arm cannot do."""
-    values = scene.values
-
-    def check(refused, name, rule, reason):
-        if refused:
-            raise ParameterError(f'{name} must be {rule} to be exported, got {values[name]}: '
-                                 f'{reason}')
-
-    check(values['model.accuracy'] > 0.0, 'model.accuracy', '0',
-          'state model.modes and integrator.step')
-    check(scene.build().sectors and values['model.axial_modes'], 'model.axial_modes',
-          '0 with one axis held and a shaft that turns',
-          'the linear parts would take tens of megabytes')
-    if estimate and scene.build().sectors:
+    values, sectors = scene.values, scene.build().sectors
+    if accuracy := values['model.accuracy']:
+        raise ParameterError(f'model.accuracy must be 0 to be exported, got {accuracy}: state '
+                             'model.modes and integrator.step')
+    if sectors and (axial := values['model.axial_modes']):
+        raise ParameterError('model.axial_modes must be 0 with one axis held and a shaft that '
+                             f'turns to be exported, got {axial}: the linear parts would take '
+                             'tens of megabytes')
+    if estimate and sectors:
         raise ParameterError('estimate must be false with one axis of the carrier held and a '
                              'shaft that turns: linear parts of a finer model with an axial mode '
                              'would take tens of megabytes')

@@ -18,7 +18,7 @@ from rclpy.service import Service
 from timo_sim.ros.private import overrides
 from timo_sim.scene.files import is_for, is_of_rclpy
 from timo_sim.scene.parameters import (
-    check, complete, gives_arm, ParameterError, PARAMETERS, RATES, short, whole_ratio)
+    check, complete, DEFAULTS, gives_arm, ParameterError, PARAMETERS, RATES, short, whole_ratio)
 from timo_sim.scene.plausible import find_outdated
 
 _SOURCE = 'set at run time'
@@ -114,10 +114,6 @@ class ParameterNode(Node):
         return response
 
 
-def _is_list(name):
-    return name in PARAMETERS and isinstance(PARAMETERS[name].default, tuple)
-
-
 def _refused(error):
     return SetParametersResult(successful=False, reason=str(error))
 
@@ -127,7 +123,8 @@ def _converted(parameter):
     name, value = parameter.name, parameter.value
     if is_of_rclpy(name) or value is None:
         return parameter
-    if isinstance(value, str) and _is_list(name) and (value[:1], value[-1:]) == ('[', ']'):
+    is_list = isinstance(DEFAULTS.get(name), tuple)
+    if isinstance(value, str) and is_list and (value[:1], value[-1:]) == ('[', ']'):
         value = value[1:-1].split(',')
     return _of_rclpy(name, check({name: value}, _SOURCE).get(name, value))
 
