@@ -44,14 +44,7 @@ def pytest_fixture_setup():
         pytest.skip(f'needs {missing(error)}')
 
 
-@pytest.hookimpl(wrapper=True)
-def pytest_pyfunc_call():
-    try:
-        return (yield)
-    except Exception as error:
-        if not missing(error):
-            raise
-        pytest.skip(f'needs {missing(error)}')
+pytest_pyfunc_call = pytest_fixture_setup
 
 
 @pytest.fixture(name='start', scope='session')

@@ -1,7 +1,7 @@
 # Copyright 2026 The timo_sim authors
 # SPDX-License-Identifier: Apache-2.0
 
-"""The work of loads between samples of a motion, and what a run's balance of energy lacks."""
+"""The work of loads between samples, what the balance of energy of a run lacks, and inertia."""
 
 import numpy as np
 
@@ -52,3 +52,8 @@ def balance(run):
     done = work(ns, position, velocity, run.effort, np.isin(steps, jumps)[:, np.newaxis])
     energy = run.energy() + run.friction_heat + run.dissipated()
     return energy - energy[0] - np.append(0.0, np.cumsum(done))
+
+
+def inertia_of(scene):
+    """Return the moment of inertia of shaft and arm about the shaft, at the start [kg m2]."""
+    return scene.build().mass_matrix(scene.initial_motion())[0][2, 2]

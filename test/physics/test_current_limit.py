@@ -9,7 +9,7 @@ import numpy as np
 import pytest
 from scipy.integrate import solve_ivp
 
-from oracles.energy import work
+from oracles.energy import inertia_of, work
 import timo_sim
 from timo_sim.model.layout import LOADS, TORQUE
 
@@ -23,11 +23,6 @@ UNLIMITED = {'motor.dc.current_limit': math.inf}
 GEAR = {**HELD, 'motor.shaft_inertia': 0.2, 'motor.gear.stiffness': 900.0,
         'motor.gear.damping': 2.0, 'motor.rotor.inertia': 0.5 / 50.0**2}
 BUILDS_UP = {'motor.coulomb_friction': 4.0, 'motor.coulomb_speed': 0.3}
-
-
-def inertia_of(scene):
-    """Return the moment of inertia of shaft and rigid arm [kg m2]."""
-    return scene.build().mass_matrix(scene.initial_motion())[0][2, 2]
 
 
 def limited(torque, speed):

@@ -10,7 +10,7 @@ import numpy as np
 import pytest
 from scipy.integrate import solve_ivp
 
-from oracles.energy import balance
+from oracles.energy import balance, inertia_of
 import timo_sim
 from timo_sim.model.layout import FORCE_X, FORCE_Y, LOADS, SHAFT_FRICTION, TORQUE
 from timo_sim.simulation.simulator import Simulator
@@ -27,10 +27,6 @@ GEAR = {'motor.gear.stiffness': 300.0, 'motor.gear.damping': 0.5, 'motor.rotor.i
         'motor.rotor.coulomb_presliding': 0.05, **SHAFT}
 SHAKEN = {'load.torque.harmonic.amplitude': [6.0], 'load.torque.harmonic.frequency': [1.1],
           'load.force_x.harmonic.amplitude': [9.0], 'load.force_x.harmonic.frequency': [1.7]}
-
-
-def inertia_of(scene):
-    return scene.build().mass_matrix(scene.initial_motion())[0][2, 2]
 
 
 def by_events(rate, places, start, bristles, until, times):

@@ -9,6 +9,7 @@ import numpy as np
 import pytest
 from scipy.integrate import solve_ivp
 
+from oracles.energy import inertia_of
 import timo_sim
 from timo_sim.model.layout import FORCE_X, FORCE_Y, TORQUE
 from timo_sim.steps.steps import Steps
@@ -23,11 +24,6 @@ NONE = {'motor.coulomb_friction': 0.0, 'carrier.coulomb_friction': 0.0}
 def coasting(inertia, t, limit=2.0, slow=0.3, first=1.5):
     """`J v' = -T tanh(v / s)` gives `sinh(v / s) = sinh(v_0 / s) exp(-T t / (J s))`."""
     return slow * np.arcsinh(np.sinh(first / slow) * np.exp(-limit * t / (inertia * slow)))
-
-
-def inertia_of(scene):
-    """Return the moment of inertia of a rigid arm about the shaft [kg m2]."""
-    return scene.build().mass_matrix(scene.initial_motion())[0][2, 2]
 
 
 def test_a_rigid_arm_stops_as_the_closed_form():
