@@ -76,10 +76,9 @@ class Series:
         if (key[:-1] <= key[1:]).all():
             return self
         order = np.argsort(key, kind='stable')
-        resets, step, ns, log_ns, values = (array[order] for array in (
-            self.resets, self.step, self.ns, self.log_ns, self.values))
-        return replace(self, resets=resets, step=step, ns=ns, log_ns=log_ns, values=values,
-                       data=[self.data[k] for k in order] if self.data else [])
+        arrays = {name: getattr(self, name)[order]
+                  for name in ('resets', 'step', 'ns', 'log_ns', 'values')}
+        return replace(self, **arrays, data=[self.data[k] for k in order] if self.data else [])
 
 
 class Recording:
