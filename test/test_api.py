@@ -156,27 +156,6 @@ def test_a_divergent_run_is_kept_until_it_diverges():
     assert last % 1024 > 1 and run.t[-1] == pytest.approx(0.01 * (last - last % 2))
 
 
-BAD_ARGUMENTS = [
-    (lambda scene: timo_sim.simulate(scene, '1 s'), "duration must be .* got '1 s'"),
-    (lambda scene: timo_sim.simulate(scene, 1e12), 'duration must be .* got 1000000000000'),
-    (lambda scene: timo_sim.simulate(scene, 1.0, 0), 'sample_every must be .* >= 1, got 0'),
-    (lambda scene: timo_sim.choose_resolution(scene, 'long'), 'duration must be'),
-    (lambda scene: timo_sim.Simulator(scene).step(duration=-1.0), 'duration must be .* >= 0'),
-    (lambda scene: scene.vary('arm'), "values must be given by name, got 'arm'"),
-    (lambda scene: timo_sim.load_scene(None), 'values must be given by name, got None'),
-    (lambda scene: timo_sim.load_scene({}, {'arm': {'length': 2.0}, 'arm.length': 3.0}),
-     'arm.length is given twice'),
-    (lambda scene: timo_sim.linearize(timo_sim.load_scene({})).to_discrete(-0.002),
-     'dt must be a finite number > 0 s, got -0.002')
-]
-
-
-def test_invalid_arguments_are_refused(scene):
-    for call, words in BAD_ARGUMENTS:
-        with pytest.raises(timo_sim.ParameterError, match=words):
-            call(scene)
-
-
 def test_a_scene_may_be_given_as_load_scene_takes_it(tmp_path):
     values = {'model.modes': 3, 'initial.shaft_velocity': 1.0}
     path = tmp_path / 'scene.yaml'
