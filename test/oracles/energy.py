@@ -5,6 +5,8 @@
 
 import numpy as np
 
+from timo_sim.scene.loads import Table
+
 
 def work(ns: np.ndarray, position: np.ndarray, velocity: np.ndarray, force: np.ndarray,
          jumps: np.ndarray | bool = False) -> np.ndarray:
@@ -46,7 +48,7 @@ def balance(run):
     ns, model, half = np.rint(run.t * 1e9), run.model, run.values.shape[1] // 2
     steps = np.rint(run.t / run.scene.step)
     jumps = np.rint([time / run.scene.step for terms in run.scene.load.terms.values()
-                     for term in terms if hasattr(term, 'jumps') for time in term.jumps()])
+                     for term in terms if isinstance(term, Table) for time in term.jumps()])
     position, velocity = (run.values[:, part] @ model.joint_turns[:, :3]
                           for part in (slice(half), slice(half, None)))
     done = work(ns, position, velocity, run.effort, np.isin(steps, jumps)[:, np.newaxis])
