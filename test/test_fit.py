@@ -14,10 +14,11 @@ from scipy.signal import lfilter, lsim
 
 from benchmark.accuracy import fits
 import timo_sim
-from timo_sim.fitting.objective import times_of_motion
+from timo_sim.fitting.objective import Objective, times_of_motion
 from timo_sim.fitting.record import Channel, OUTPUTS
 from timo_sim.fitting.problem import covariance, loads_of, Problem, whiteness
 from timo_sim.fitting.search import Search
+from timo_sim.model.differences import Secants
 from timo_sim.model.layout import AFTER, TORQUE
 from timo_sim.runs.run import run_scene
 
@@ -268,6 +269,52 @@ def test_what_the_field_knows_is_the_usual_width():
         np.log(2.0), np.inf])
     usual, own = Problem(scene, record, ['~inf', 'arm.length', 'arm.density~2%'], {}, T[-1]).free
     assert (usual.width, own.width) == (np.inf, 0.02)
+
+
+def test_secants_foresee_the_last_step_and_nothing_else_changes():
+    """Of a function that bends a little; where it bends much, derivatives are made anew."""
+    random, begun = np.random.default_rng(4), []
+    matrix, bend = random.standard_normal((30, 3)) * [1.0, 1e-3, 1e3], 50.0
+
+    def function(x):
+        return matrix @ (x + [0.0, bend * x[0]**2, 0.0])
+
+    def exact(x):
+        begun.append(x)
+        return matrix @ (np.eye(3) + [[0.0] * 3, [2.0 * bend * x[0], 0.0, 0.0], [0.0] * 3])
+
+    jacobian, places = Secants(function, exact), random.standard_normal((9, 3)) * [1.0, 1e3, 1e-3]
+    before = jacobian(places[0])
+    assert before == pytest.approx(exact(places[0]))
+    for number, (last, x) in enumerate(zip(places, places[1:]), 1):
+        now, move = jacobian(x), x - last
+        assert jacobian.count == number
+        assert now @ move == pytest.approx(function(x) - function(last))
+        # Moves across it, as long as they move the values, change them as before.
+        size = np.linalg.norm(before, axis=0)
+        across = np.linalg.svd((size * move)[np.newaxis])[2][1:] / size
+        assert now @ across.T == pytest.approx(before @ across.T, abs=1e-9)
+        before = now
+    begun.clear()
+    jacobian(places[0])
+    assert jacobian.count == 0 and len(begun) == 1  # after eight of them
+    bend = 5000.0
+    assert jacobian(places[1]) == pytest.approx(exact(places[1])) and jacobian.count == 0
+
+
+def test_a_search_needs_few_runs_and_ends_where_no_direction_leads_down(monkeypatch):
+    """Where directions look alike, differences alone take 344 runs."""
+    runs, run = [], Problem.run
+    monkeypatch.setattr(Problem, 'run', lambda *given: runs.append(1) or run(*given))
+    record = fits.record(0, 2.0)
+    objective = Objective([Problem(fits.guess(), record, fits.FREE, {}, 2.0)])
+    search = Search(objective)
+    search.run(1)
+    count, here = len(runs), objective.residuals(search.x)
+    jacobian = objective.jacobian(search.x)
+    foreseen = here - jacobian @ np.linalg.lstsq(jacobian, here)[0]
+    assert foreseen @ foreseen > (1.0 - 2e-4) * (here @ here)
+    assert count < 220
 
 
 def test_a_quick_fit_is_the_same_without_profiles_and_suspects():

@@ -15,6 +15,7 @@ from scipy.optimize import least_squares
 
 from timo_sim.fitting.objective import CENTRAL, Objective
 from timo_sim.fitting.problem import TimeIsUp, whiteness
+from timo_sim.model.differences import Secants
 
 _WIDE = 1e-3  # step of differences beside CENTRAL
 _MAX_DIFFERENCE = 0.3  # relative difference of derivatives by two steps, above which a run jumps
@@ -35,7 +36,6 @@ _LOOSE = Accuracy(ftol=1e-4, xtol=1e-4, max_nfev=60, step=1e-3)
 _ROUGH = Accuracy(ftol=1e-3, xtol=1e-4, max_nfev=25, step=1e-3)  # as trials of effects
 _TIGHT = Accuracy(ftol=1e-7, xtol=1e-7, max_nfev=60, step=1e-6)
 _ENDS = [_TIGHT._replace(step=1e-3), _TIGHT._replace(step=1e-5)] * 2  # one after the other
-_TINY = 1e-300
 _FLAT = 1e-4  # part of the squares: a gradient that foresees a lower fall is none
 _MAX_SEARCHES = 6  # most searches with standard deviations from the one before
 # Relative change of standard deviations that counts as none, at the end and for effects.
@@ -193,8 +193,8 @@ class Search:
         costs: list[float] = []      # of all, from each of these; infinite if it was not followed
         followed: list[Minimum] = []
 
-        def rms(x):
-            return math.sqrt(np.mean(part.residuals(part.within(x))**2))
+        def rms(x, some=part):
+            return math.sqrt(np.mean(some.residuals(some.within(x))**2))
 
         for start in self._starts(starts or limit):
             self.tried = len(firsts) + 1
@@ -210,8 +210,7 @@ class Search:
                     (other.cost for other in firsts), default=math.inf):
                 followed.append(self._solve(_TRY, first.x))
                 cost = followed[-1].cost
-                rows = objective.residuals(followed[-1].x)
-                text += f', {math.sqrt(np.mean(rows**2)):.3g} in all'
+                text += f', {rms(followed[-1].x, objective):.3g} in all'
             self._tell(text)
             firsts.append(first)
             costs.append(cost)
@@ -252,12 +251,15 @@ class Search:
                                  key=lambda each: each[0])
             return rows
 
+        jac = Secants(some.residuals, lambda x: some.jacobian(x, accuracy.step, False))
         end = least_squares(
-            residuals, some.within(x), lambda x: some.jacobian(x, accuracy.step, False),
-            (some.low, some.high), x_scale='jac', loss=some.loss, ftol=accuracy.ftol,
-            xtol=accuracy.xtol, gtol=1e-12, max_nfev=accuracy.max_nfev)
+            residuals, some.within(x), jac, (some.low, some.high), x_scale='jac', loss=some.loss,
+            ftol=accuracy.ftol, xtol=accuracy.xtol, gtol=1e-12, max_nfev=accuracy.max_nfev)
+        left = accuracy.max_nfev - end.nfev
+        if jac.count > 1 and left and accuracy.ftol <= _TIGHT.ftol:  # it ends by differences
+            return self._solve(accuracy._replace(max_nfev=left), end.x, objective)
         inside = end.active_mask == 0
-        size = np.linalg.norm(end.jac, axis=0)[inside] + _TINY
+        size = np.linalg.norm(end.jac, axis=0)[inside] + 1e-300
         jacobian, slope = end.jac[:, inside] / size, end.grad[inside] / size
         fall = slope @ np.linalg.lstsq(jacobian.T @ jacobian, slope)[0]
         return Minimum(end.cost, end.x, float(fall) / (2.0 * end.cost or 1.0))

@@ -1,10 +1,10 @@
 # Copyright 2026 The timo_sim authors
 # SPDX-License-Identifier: Apache-2.0
 
-"""Derivatives by finite differences, where there are no exact ones."""
+"""Derivatives by finite differences and secants, where there are no exact ones."""
 
 from collections.abc import Callable
-from typing import NamedTuple
+from typing import Any, NamedTuple
 
 import numpy as np
 
@@ -12,6 +12,8 @@ import numpy as np
 _STENCILS = {1: ((1, 1.0),),
              2: ((-1, -0.5), (1, 0.5)),
              4: ((-2, 1.0 / 12.0), (-1, -2.0 / 3.0), (1, 2.0 / 3.0), (2, -1.0 / 12.0))}
+# Part of what the coordinates of a move do, each alone, that is not foreseen; most secants.
+_MISSED, _MOST_SECANTS = 0.2, 8
 
 
 class Differences(NamedTuple):
@@ -51,3 +53,32 @@ def differences(function: Callable[[np.ndarray], np.ndarray], steps: np.ndarray,
         kink = 0.5 * (ahead - behind)
         slope = np.where(np.isnan(slope), np.where(np.isnan(ahead), behind, ahead), slope)
     return Differences(value[0], slope.T / steps, kink.T / steps)
+
+
+class Secants:
+    """
+    The Jacobian of a function, (n,) of (p,), at points of a search; `jacobian` makes one anew.
+
+    Where the last one foresees the values at the next point, it is changed as little as makes it
+    foresee them exactly, in coordinates that move the values alike, and `count` is one more.
+    Source: Broyden, Mathematics of Computation 19 (1965) 577-593.
+    """
+
+    def __init__(self, function: Callable[[np.ndarray], np.ndarray],
+                 jacobian: Callable[[np.ndarray], np.ndarray]) -> None:
+        self._function, self._jacobian, self.count = function, jacobian, _MOST_SECANTS
+        self._last: Any = None
+
+    def __call__(self, x: np.ndarray) -> np.ndarray:
+        """Return the Jacobian at x, shape (n, p)."""
+        values, near = self._function(x), False
+        if self.count < _MOST_SECANTS:
+            before, known, slope = self._last
+            move = x - before
+            along = move * np.sum(slope**2, axis=0)
+            missed, size = values - known - slope @ move, along @ move
+            near = missed @ missed < _MISSED**2 * size
+        self.count = self.count + 1 if near else 0
+        slope = slope + np.outer(missed / size, along) if near else self._jacobian(x)
+        self._last = x.copy(), values, slope
+        return slope.copy()
