@@ -98,14 +98,20 @@ def add_bristles(scene: Scene, model: Formulation, motions: np.ndarray, loads: n
     """
     places, speeds = (part @ model.joint_turns for part in np.hsplit(motions, 2))
     start = memory_at(scene.bristles, swing_of(model, scene.bristles), speeds[0])[DEFLECTION:]
-    for k, (forward, backward, reach, more, slow) in enumerate(scene.bristles):
+    for k, (forward, backward, reach, more, slow) in enumerate(scene.bristles.tolist()):
         if not reach:
             continue
-        deflections = [start[k]]
+        deflections = [deflection := float(start[k])]
         for way in np.diff(places[:, k]).tolist():
-            deflections.append(min(max(deflections[-1] + way, -reach), reach))
+            deflection += way
+            if deflection > reach:
+                deflection = reach
+            elif deflection < -reach:
+                deflection = -reach
+            deflections.append(deflection)
         bent = np.array(deflections) / reach * (1.0 + more / (1.0 + (speeds[:, k] / slow)**2))
-        loads -= np.outer(np.where(bent > 0.0, forward, backward) * bent, UNITS[k])
+        loads[:, UNITS[k] != 0.0] -= (
+            np.where(bent > 0.0, forward, backward) * bent)[:, np.newaxis]
 
 
 class Sensors:
