@@ -24,7 +24,8 @@ from timo_sim.scene.parameters import Parameter, PARAMETERS
 from timo_sim.scene.scene import Scene
 
 _MAX_RATIO = 1.5  # of the rise of squares at the ends of an interval to the quadratic one
-_NEAR = 0.01  # relative distance from the end of a profile interval that counts as none
+# Relative distances that count as none: of the end of an interval, of a rise that is foreseen.
+_NEAR, _FORESEEN = 0.01, 0.1
 _MAX_REFITS = 5  # for an end of a profile interval
 _MAX_STEPS, _SETTLED = 3, 0.05  # of Gauss and Newton in a refit; fall of squares that ends it
 _FREEDOM = 5.0  # degrees of freedom of Student's distribution from which weighted samples come
@@ -68,12 +69,12 @@ class Posterior:
     def _rows(self, x):
         return self._root * self.objective.residuals(x)
 
-    def _settle(self, x, held=None):
+    def _settle(self, x, held=None, target=np.inf):
         """
         Follow the curved valley: return x' near x with the residuals of the linear model at x.
 
         With `held`, x[held] stays and the others are fitted (a profile). Also returns the rise of
-        the squares.
+        the squares, which is `target` if the linear model foresees that.
         """
         some = np.arange(len(x)) != held
         solve = self._inverse if held is None else np.linalg.pinv(self.jacobian[:, some])
@@ -83,8 +84,10 @@ class Posterior:
             move = np.zeros(len(x))
             move[some] = solve @ (goal - rows)
             better = self.objective.within(x + move)
-            if np.sum((self.jacobian @ (better - x))**2) < _SETTLED:
-                break
+            change = self.jacobian @ (better - x)
+            rise = np.sum((rows + change)**2) - self.residuals @ self.residuals
+            if change @ change < _SETTLED or abs(rise - target) < _FORESEEN * target:
+                return better, rise
             found = self._rows(better)
             if not np.sum((found - goal)**2) < np.sum((rows - goal)**2):
                 break
@@ -101,11 +104,10 @@ class Posterior:
         for k in places:
             path = NORMAL * self.spread[:, k] / np.sqrt(self.spread[k, k])
             target = np.sum((self.jacobian @ path)**2)
-            rises = [self._settle(self.objective.within(self.x + sign * path), k)[1]
+            rises = [self._settle(self.objective.within(self.x + sign * path), k, target)[1]
                      for sign in (-1.0, 1.0)]
             if not all(target / _MAX_RATIO < rise < _MAX_RATIO * target for rise in rises):
-                low, high = (self._end(k, sign * path, target) for sign in (-1.0, 1.0))
-                found[k] = float(low), float(high)
+                found[k] = self._end(k, -path, target), self._end(k, path, target)
         return found
 
     def _end(self, k, path, target):
@@ -119,7 +121,7 @@ class Posterior:
                 break
             path = (x - start) / size  # the others follow
             size *= np.clip(factor, 0.3, 3.0)
-        return x[k]
+        return float(x[k])
 
     def sample(self, n: int, seed: int, scene: Scene) -> Samples:
         """Return Samples, see `Fit.sample`."""
