@@ -13,7 +13,7 @@ from typing import NamedTuple
 import numpy as np
 from scipy.optimize import least_squares
 
-from timo_sim.fitting.objective import CENTRAL, Objective
+from timo_sim.fitting.objective import Objective
 from timo_sim.fitting.problem import TimeIsUp, whiteness
 from timo_sim.model.differences import Secants
 
@@ -267,9 +267,13 @@ class Search:
     def derivatives(self) -> tuple[np.ndarray, list[str]]:
         """Return the weighted derivatives of all residuals at the end, (n, p), and what jumps."""
         objective, x = self.objective, self.x
-        jacobian, wide = (objective.jacobian(x, step) for step in (CENTRAL, _WIDE))
-        size, other = np.linalg.norm(jacobian, axis=0), np.linalg.norm(wide, axis=0)
-        rough = np.linalg.norm(jacobian - wide, axis=0) > _MAX_DIFFERENCE * np.minimum(size, other)
+        for central in False, True:  # one side does where nothing jumps
+            jacobian, wide = objective.jacobian(x), objective.jacobian(x, _WIDE, central)
+            size, other, apart = (
+                np.linalg.norm(each, axis=0) for each in (jacobian, wide, jacobian - wide))
+            rough = apart > _MAX_DIFFERENCE * np.minimum(size, other)
+            if not rough.any():
+                break
         # Where a run jumps, the smaller derivative is taken: it makes the interval wider.
         jacobian[:, rough & (other < size)] = wide[:, rough & (other < size)]
         return (objective.weights(objective.residuals(x))[:, np.newaxis] * jacobian,
