@@ -270,10 +270,14 @@ def try_alone(monkeypatch, names):
 @pytest.mark.parametrize('stops, line', [
     ('trials', f'{PRESLIDING}: '), ('search', f'{PRESLIDING}: .*best so far of its search'),
     ('judgement', f'{PRESLIDING}: better where it was tried, and in all'),
-    ('', f'    {PRESLIDING}: ')])
+    ('first', f'{PRESLIDING}: '), ('', f'    {PRESLIDING}: ')])
 def test_an_effect_is_kept_as_it_is_fitted_to_all(stops, line, monkeypatch):
-    """Time is up in later trials, in the fit with it or after it; or that predicts far worse."""
-    calls, tried = [], []
+    """
+    Time is up in later trials, in the fit or after it.
+
+    Or the first third alone is predicted much better with it; or far worse.
+    """
+    calls, tried, ends = [], [], []
 
     def settle(search, *arguments, settle=Search._settle, **options):
         calls.append(None)
@@ -281,11 +285,15 @@ def test_an_effect_is_kept_as_it_is_fitted_to_all(stops, line, monkeypatch):
             raise TimeIsUp('its time was up')
         return settle(search, *arguments, **options)
 
-    def predict(*arguments, predict=auto.predict):
+    def predict(*arguments, first, predict=auto.predict):
         if stops == 'judgement' and len(calls) == 2:
             raise TimeIsUp('its time was up')
-        found = predict(*arguments)
-        return found._replace(errors=found.errors + 9.0 * (not stops and len(calls) == 2))
+        found = predict(*arguments, first=first)
+        ends.append(found.errors)
+        if stops == 'first' and len(calls) == 2 and not first:
+            return found._replace(errors=ends[0] - 0.05)
+        return found._replace(errors=found.errors + 9.0 * (
+            not stops and first and len(calls) == 2))
 
     def try_it(objective, x, effect, *more, predict=suspects.predict):
         if stops == 'trials' and 'presliding' in str(tried) and 'presliding' not in effect.name:
@@ -309,10 +317,10 @@ def test_an_effect_that_was_better_in_its_trial_alone_is_not_kept(monkeypatch):
         found = predict(*arguments)
         return found._replace(errors=found.errors - 9.0)
 
-    def predict(objective, x, predict=auto.predict):
+    def predict(objective, x, first, predict=auto.predict):
         if 'asymmetry' in str(objective.free):
             raise TimeIsUp('its time was up')
-        return predict(objective, x)
+        return predict(objective, x, first=first)
 
     try_alone(monkeypatch, 'direction')
     monkeypatch.setattr(suspects, 'predict', lucky)
@@ -357,6 +365,22 @@ def test_a_spring_is_kept_where_a_tilted_plane_fits_worse(made, volts, kept, mon
     found = fit(record({**DRY, **made}, volts, told=volts).select('shaft'), [
         'motor.shaft_inertia', 'motor.coulomb_friction'], more=DRY, auto=True, quick=True)
     assert found.ladder[-1].startswith(kept) or found.ladder[-2].startswith(kept)
+
+
+@pytest.mark.parametrize('first', [False, True])
+def test_a_third_of_the_motion_is_predicted_by_a_fit_to_the_rest(first, monkeypatch):
+    """What was measured in it has no say: that is off by 1 rad, and the fit is the true one."""
+    monkeypatch.setattr(suspects, 'times_of_motion', lambda problem, part: [part * T[-1]])
+    third = T <= T[-1] / 3.0 if first else T > T[-1] / 1.5
+    rigid, true = {'model.modes': 0}, [2e-3, 0.02]
+    measured = record(rigid).select('shaft')
+    measured.outputs['shaft'].values[third] += 1.0
+    objective = Objective([Problem(ARM.vary(rigid), measured, [
+        'motor.shaft_inertia=0.0026~inf', 'motor.viscous_friction=0.015~inf'], {}, T[-1])])
+    found = suspects.predict(objective, objective.start, first=first)
+    assert np.exp(found.x) == pytest.approx(true, rel=0.02)
+    spread = np.std(measured.outputs['shaft'].values)
+    assert np.exp(found.errors) * spread == pytest.approx([1.0], rel=0.01)
 
 
 @pytest.mark.parametrize('found, count', [

@@ -109,7 +109,7 @@ def choose(scene: Scene, free: list[str], objective_of: Callable[[Scene, list[st
            say: Callable[[str], object], keep: Callable[[Scene, str], object],
            deadline: float, starts: int | None = None) -> Choice:
     """
-    Return the Choice of effects with which the end of what is fitted is predicted best.
+    Return the Choice of effects with which the ends of what is fitted are predicted best.
 
     If the fit with an effect is not a tenth better, as its trial was, the next best is tried.
     `keep` is called with each scene that is the best so far, and the values found. Each fit has a
@@ -123,12 +123,12 @@ def choose(scene: Scene, free: list[str], objective_of: Callable[[Scene, list[st
         objective.weigh_as(choice.weighs)
         return Search(objective, first=choice.values)
 
-    def error_in_all(search, x):
+    def settled(search, part, anew=False):
+        x = search.settle(starts, anew, until(part))
         search.set_deadline(math.inf)
-        return float(np.mean(errors_of(search.objective, x)))
+        return x, float(np.mean(errors_of(search.objective, x)))
 
-    def kept(choice, search, x, line):
-        objective = search.objective
+    def kept(choice, objective, x, line):
         return Choice(
             objective.problems[0].scene_of(objective.values(x, 0)),
             [*{each.name: each.text for problem in objective.problems
@@ -137,45 +137,44 @@ def choose(scene: Scene, free: list[str], objective_of: Callable[[Scene, list[st
             [*choice.ladder, line], objective)
 
     sure, waiting = Choice(scene, free, {}, []), list[Suspect]()
-    least, in_all, judged = math.inf, math.inf, True
+    least, most, hope = np.array(math.inf), math.inf, None  # logarithms of errors
     tried: Suspect | None = None
     try:
         while True:
             best = _with(tried, sure) if tried else sure
             search = search_of(best)
-            x = search.settle(starts, not tried, until(_FIT if tried else _PLAIN))
+            x, in_all = settled(search, _FIT if tried else _PLAIN, not tried)
             plane = next((each for each in waiting if each.effect.free == TILTED), None)
             if plane and tried and tried.effect.free == SPRING:
                 # Where the record is not, a plane's torque is bounded, and a spring's is not.
                 rival = search_of(_with(plane, sure))
-                end = rival.settle(until=until(_FIT))
-                if error_in_all(rival, end) < error_in_all(search, x) - math.log(BETTER):
-                    sure.ladder.append(f'    {tried.name}: not a tenth better in all than '
-                                       f'{plane.name}')
-                    best, search, x = _with(plane, sure), rival, end
+                end, error = settled(rival, _FIT)
+                if error < in_all - math.log(BETTER):
+                    sure.ladder.append(f'    {tried.name}: hardly better in all than {plane.name}')
+                    best, search, x, in_all = _with(plane, sure), rival, end, error
                     waiting[waiting.index(plane)], tried = tried, plane
             name, objective = tried.name if tried else 'the plain arm', search.objective
-            judged, error_of_fit = False, error_in_all(search, x)
+            hope = kept(best, objective, x, f'{name}: better where it was tried, and in all')
             search.set_deadline(deadline)
-            predicted, judged = predict(objective, x), True
-            error = math.exp(np.mean(predicted.errors))
-            line = f'{name}: {error:.2%}' + (
-                ', at the best so far of its search, whose part of the time was up'
-                if search.stopped else '')
-            say(f'error of the end of what is fitted, which was held out, {line}')
-            if error < BETTER * least:  # than without it, however good its trial was
-                sure, least, in_all = kept(best, search, x, line), error, error_of_fit
+            predicted = [predict(objective, x, first=each) for each in (False, True)]
+            errors, hope = np.array([each.errors for each in predicted]), None
+            ends = np.exp(errors.mean(axis=1))
+            line = f'{name}: {ends[0]:.2%} and {ends[1]:.2%}' + bool(search.stopped) * (
+                ', at the best so far of its search, whose part of the time was up')
+            say(f'error of the last and the first third, each predicted by the rest, {line}')
+            last, first = (errors - least).mean(axis=1)  # however good its trial was
+            if min(last, 0.5 * (last + first)) < math.log(BETTER) < -max(last, first):
+                sure, least, most = kept(best, objective, x, line), errors, in_all
                 keep(sure.scene, str(sure.values))
                 own = {**sure.scene.values, **sure.values}
                 found = [each for each in suspects(  # an effect may vanish as it is fitted
-                    objective, x, _SUSPECTS, predicted, until(_TRIALS))
+                    objective, x, _SUSPECTS, predicted[0], until(_TRIALS))
                     if each.ratio < math.inf and each.effect.changes(own, *each.sizes)]
-                lines = [f'    with {each.name}: {each.ratio * error:.2%}' for each in found]
+                lines = [f'    with {each.name}: {each.ratio * ends[0]:.2%}' for each in found]
                 say('\n'.join(['tried', *lines]))
                 sure.ladder.extend(lines)
                 # What is further off than the mean predicts nothing, however much better it is.
-                waiting = sorted((each for each in found if each.ratio < min(BETTER, 1.0 / error)),
-                                 key=lambda each: -each.ratio)
+                waiting = [each for each in found[::-1] if each.ratio < min(BETTER, 1.0 / ends[0])]
             else:
                 sure.ladder.append(f'    {line}')
             if not waiting:
@@ -185,14 +184,11 @@ def choose(scene: Scene, free: list[str], objective_of: Callable[[Scene, list[st
         reason = str(stop) or INTERRUPTED
         if not sure.values:
             sure = sure._replace(values=search.best)
-        elif not judged and isinstance(stop, TimeIsUp):  # two fits of three say what is better
-            if error_of_fit < in_all + math.log(BETTER):
-                sure = kept(best, search, x, f'{name}: better where it was tried, and in all')
-            else:
-                sure.ladder.append(f'    {name}: not better in all')
+        elif hope and isinstance(stop, TimeIsUp):  # two fits of three say what is better
+            sure = hope if in_all < most + math.log(BETTER) else sure._replace(
+                ladder=[*sure.ladder, f'    {name}: not better in all'])
         sure = sure._replace(interrupted=not isinstance(stop, TimeIsUp))
     except (ArithmeticError, ParameterError) as error:
         reason = str(error)
-    what = 'no more effects were' if sure.ladder else 'no effect was'
-    say(line := f'{what} tried: {reason}')
+    say(line := f'no {"more effects were" if sure.ladder else "effect was"} tried: {reason}')
     return sure._replace(ladder=[*sure.ladder, line])

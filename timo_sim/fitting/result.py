@@ -236,8 +236,8 @@ class Fit(Prediction):
             lines += ['the loads of the scene act beside the inputs of the record']
         lines += ['', 'before the search:', *self.look]
         if self.ladder:
-            lines += ['', 'effects, and the error of the end of what is fitted, which was held '
-                      'out, of its spread:', *self.ladder]
+            lines += ['', 'effects, and the error of the last and the first third of the motion, '
+                      'each predicted by the rest, of its spread:', *self.ladder]
         lines += ['', _RUN_HEAD]
         for number, each in enumerate([self, *self.more], 1):
             lines += [f'record {number}, {each.record.source}:'] * bool(self.more)
@@ -366,8 +366,8 @@ def fit(scene: SceneLike | None, record: RecordLike | Sequence[RecordLike],
         KeyboardInterrupt (Ctrl-C) stops it, the best so far is returned, see `Fit.stopped`.
     auto : bool
         Choose the effects, too: from what `free` names, by default the plain arm, effects are
-        tried in turn, and kept if the last third of the motion that is fitted, which is held out
-        for that, is predicted better. They may take `time` but that of one more fit.
+        tried in turn, and kept if the last and the first third of the motion that is fitted are
+        predicted better, each by a fit to the rest. They may take `time` but that of one more fit.
     keep : function(Scene, str), optional
         Is called, with `auto`, with each scene that is the best so far, and the values found.
 

@@ -139,11 +139,9 @@ def suspects(objective: Objective, x: np.ndarray, most: int = 0,
         # The first order does not tell the size of what bends and has a shape, as presliding: a
         # fit begins at each of its trials.
         tried += sorted(of_trials, key=lambda each: -each[0])[:None if guesses else 1]
-    tried.sort(key=lambda each: -each[0])
-    if most:  # A tilted plane explains a little of anything: it is the rival of a spring alone.
-        place = next((k for k, each in enumerate(tried) if each[1].free == SPRING), len(tried))
-        order = {id(each): k for k, each in enumerate(tried)}
-        tried.sort(key=lambda each: place + 0.5 if each[1].free == TILTED else order[id(each)])
+    # A tilted plane explains a little of anything: it is the rival of a spring alone.
+    spring = max((each[0] for each in tried if each[1].free == SPRING), default=-math.inf)
+    tried.sort(key=lambda each: -(spring if most and each[1].free == TILTED else each[0]))
     own = {**problem.scene.values, **objective.values(x, 0)}
     # Of held values that explain about as much, as a length and a stiffness do, a few are fitted.
     held = [each for each in tried if each[1].width < math.inf]
@@ -183,28 +181,26 @@ def suspects(objective: Objective, x: np.ndarray, most: int = 0,
 def moves_one_way(problem):
     """Return whether what is fitted goes back by less than a quarter of all its ways."""
     t = np.linspace(0.0, problem.until, _WAYS)
-    for channel in (problem.record.outputs[name] for name in JOINTS
-                    if name in problem.record.outputs):
-        ways = np.diff(np.interp(t, channel.t, channel.values))
-        if abs(ways.sum()) > 0.5 * np.abs(ways).sum():
-            return True
-    return False
+    ways = [np.diff(np.interp(t, each.t, each.values))
+            for name, each in problem.record.outputs.items() if name in JOINTS]
+    return any(abs(each.sum()) > 0.5 * np.abs(each).sum() for each in ways)
 
 
 class Predicted(NamedTuple):
-    """The end of what is fitted, by a fit to what is before it."""
+    """A third of what is fitted, by a fit to the rest."""
 
     errors: np.ndarray  # logarithms of the rms errors of outputs, each over its spread
     x: np.ndarray       # where that fit ended, (p,)
     sizes: Any          # of its effect
 
 
-def predict(objective: Objective, x: np.ndarray, effect: _Effect | None = None,
-            sizes: Any = (), stages: int = _STAGES) -> Predicted:
+def predict(objective: Objective, x: np.ndarray, effect: _Effect | None = None, sizes: Any = (),
+            stages: int = _STAGES, first: bool = False) -> Predicted:
     """
-    Return what is Predicted of the last third of the motion by a fit to the rest, near x.
+    Return what is Predicted of the last or `first` third of the motion by a fit to the rest.
 
-    That ends with the first of some `stages`, but for the first, that lowers squares by < 5 %.
+    It begins at x, and ends with the first of some `stages`, but for the first, that lowers
+    squares by < 5 %. The first third begins as it did at x, which the rest does not show.
     """
     whole, varied = objective, []
     if effect:
@@ -212,32 +208,36 @@ def predict(objective: Objective, x: np.ndarray, effect: _Effect | None = None,
         varied = [] if effect.low == 1.0 else sizes
         whole = objective.with_effect(lambda own, *some: effect.changes(
             own, *(some or sizes)), varied, low[:len(varied)])
-    part = copy(whole)
-    part.ends = [float(np.mean(times_of_motion(each, _INNER))) for each in objective.problems]
-    x, cost = np.append(x, np.ones(len(varied))), math.inf
+    times = [float(np.mean(times_of_motion(each, 1.0 - _INNER if first else _INNER)))
+             for each in objective.problems]
+    late = np.concatenate([objective.problems[k].record.outputs[name].t[:len(measured)] > times[k]
+                           for k, name, measured in objective.series()])
+    part, x, cost = copy(whole), np.append(x, np.ones(len(varied))), math.inf
+    guesses = np.ones(np.isfinite(part.widths).sum(), bool)
+    fitted = np.append(late, guesses) if first else slice(None)
+    part.ends = part.ends if first else times
+    varies = [not (first and each.name.startswith(INITIAL)) for each in objective.free]
+    varies += [True] * len(varied)
     for _ in range(stages):
         end = least_squares(
-            part.residuals, part.within(x), lambda x: part.jacobian(x, _STEP, False),
-            (part.low, part.high), x_scale='jac', loss=part.loss, ftol=_TOLERANCE,
-            max_nfev=_MAX_RUNS // stages)
+            lambda x: part.residuals(x)[fitted], part.within(x),
+            lambda x: part.jacobian(x, _STEP, False)[fitted] * varies, (part.low, part.high),
+            x_scale='jac', loss=part.loss, ftol=_TOLERANCE, max_nfev=_MAX_RUNS // stages)
         x, cost, before = end.x, end.cost, cost
         if cost > _WORTH_ANOTHER * before:
             break
-    errors = errors_of(whole, x, part.ends)
+    errors = errors_of(whole, x, ~late if first else late)
     x, factors = np.split(x, [len(objective.free)])
     return Predicted(errors, x, factors * varied if len(varied) else sizes)
 
 
-def errors_of(objective: Objective, x: np.ndarray, begins: Sequence[float] = ()) -> np.ndarray:
-    """Return logarithms of rms errors of outputs, over their spreads, from some times [s] on."""
-    terms = []
-    for (k, name, measured), rows in zip(
-            objective.series(), objective.split(objective.residuals(x))):
-        late = objective.problems[k].record.outputs[name].t[:len(rows)] > (
-            begins[k] if begins else -math.inf)
-        size = (objective.deviations[k][name] / (np.std(measured) or 1.0))**2
-        terms.append(0.5 * np.log(np.mean(rows[late]**2) * size + _FINE**2))
-    return np.array(terms)
+def errors_of(objective: Objective, x: np.ndarray, which: Any = None) -> np.ndarray:
+    """Return logarithms of rms errors of outputs, over their spreads, in some rows or all."""
+    rows = objective.residuals(x)
+    counts = objective.split(np.ones(len(rows), bool) if which is None else which)
+    return np.array([0.5 * np.log(r[own] @ r[own] / max(1, np.sum(own)) * (
+        objective.deviations[k][name] / (np.std(measured) or 1.0))**2 + _FINE**2)
+        for (k, name, measured), r, own in zip(objective.series(), objective.split(rows), counts)])
 
 
 def name_suspects(found: list[Suspect]) -> Iterator[str]:
