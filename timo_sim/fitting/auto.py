@@ -25,6 +25,7 @@ from timo_sim.scene.parameters import ParameterError, StepError
 from timo_sim.scene.scene import Scene
 
 _SUSPECTS = 6  # that are tried at a time
+_GAIN = -math.log(BETTER)  # of an error that is better, in logarithms
 # Most parts of the time that is left: for the plain arm, for a fit with an effect, which is judged
 # after that, and for trials of further ones if one of them is better.
 _PLAIN, _FIT, _TRIALS = 1.0 / 3.0, 0.6, 0.5
@@ -121,11 +122,10 @@ def choose(scene: Scene, free: list[str], objective_of: Callable[[Scene, list[st
     def search_of(choice):
         objective = objective_of(choice.scene, choice.free)
         objective.weigh_as(choice.weighs)
-        return Search(objective, first=choice.values)
+        return Search(objective, first=choice.values, secants=0)
 
     def settled(search, part, anew=False):
         x = search.settle(starts, anew, until(part))
-        search.set_deadline(math.inf)
         return x, float(np.mean(errors_of(search.objective, x)))
 
     def kept(choice, objective, x, line):
@@ -149,7 +149,7 @@ def choose(scene: Scene, free: list[str], objective_of: Callable[[Scene, list[st
                 # Where the record is not, a plane's torque is bounded, and a spring's is not.
                 rival = search_of(_with(plane, sure))
                 end, error = settled(rival, _FIT)
-                if error < in_all - math.log(BETTER):
+                if error < in_all + _GAIN:
                     sure.ladder.append(f'    {tried.name}: hardly better in all than {plane.name}')
                     best, search, x, in_all = _with(plane, sure), rival, end, error
                     waiting[waiting.index(plane)], tried = tried, plane
@@ -162,8 +162,8 @@ def choose(scene: Scene, free: list[str], objective_of: Callable[[Scene, list[st
             line = f'{name}: {ends[0]:.2%} and {ends[1]:.2%}' + bool(search.stopped) * (
                 ', at the best so far of its search, whose part of the time was up')
             say(f'error of the last and the first third, each predicted by the rest, {line}')
-            last, first = (errors - least).mean(axis=1)  # however good its trial was
-            if min(last, 0.5 * (last + first)) < math.log(BETTER) < -max(last, first):
+            last, first = (least - errors).mean(axis=1)  # gains, however good its trial was
+            if max(last, 0.5 * (last + first)) > _GAIN and min(last, first) > -_GAIN:
                 sure, least, most = kept(best, objective, x, line), errors, in_all
                 keep(sure.scene, str(sure.values))
                 own = {**sure.scene.values, **sure.values}
@@ -185,7 +185,7 @@ def choose(scene: Scene, free: list[str], objective_of: Callable[[Scene, list[st
         if not sure.values:
             sure = sure._replace(values=search.best)
         elif hope and isinstance(stop, TimeIsUp):  # two fits of three say what is better
-            sure = hope if in_all < most + math.log(BETTER) else sure._replace(
+            sure = hope if in_all < most - _GAIN else sure._replace(
                 ladder=[*sure.ladder, f'    {name}: not better in all'])
         sure = sure._replace(interrupted=not isinstance(stop, TimeIsUp))
     except (ArithmeticError, ParameterError) as error:

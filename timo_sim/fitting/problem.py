@@ -418,9 +418,12 @@ class Problem:
                   run: Any = None) -> dict[str, np.ndarray]:
         """Return what outputs should show at samples until `end`, by a `run`, which may raise."""
         step, shown = self._shown_by(values, end) if run is None else self._outputs_of(run)
-        return {name: _seen(step, shown[name], channel.t[channel.t <= end],
-                            *sensor_of(values, name)[:-1])
-                for name, channel in self.record.outputs.items()}
+        found = {}
+        for name, channel in self.record.outputs.items():
+            gain, bias, delay, lag, _ = sensor_of(values, name)
+            late, times = _with_lag(shown[name], lag / step), channel.t[channel.t <= end] - delay
+            found[name] = gain * _interpolate(times, step, late) + bias
+        return found
 
     def _outputs_of(self, run):
         """Return the time between samples of a Run, and outputs at all of these by name."""
@@ -445,11 +448,6 @@ class Problem:
         """Return the measured samples until `end`, by output."""
         return {name: channel.values[channel.t <= end]
                 for name, channel in self.record.outputs.items()}
-
-
-def _seen(step, values, t, gain, bias, delay, lag):
-    """Return what a sensor shows at times, (n,), of a quantity at all steps of a run."""
-    return gain * _interpolate(t - delay, step, _with_lag(values, lag / step)) + bias
 
 
 def _with_lag(values, lag):

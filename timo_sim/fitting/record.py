@@ -31,11 +31,6 @@ class Quantity(NamedTuple):
 INPUT_UNITS = {**{each.name: each.unit for each in INPUTS if each.argument}, DRIVE: 'rad'}
 
 
-def _tip_angle(run):
-    along, across = run.deflection().T
-    return np.arctan2(across, run.model.manipulator.arm.length + along)
-
-
 OUTPUTS = {
     **{sensor.measured: Quantity(
         sensor.unit, sensor.meaning,
@@ -51,7 +46,8 @@ OUTPUTS = {
     'tip_transverse': Quantity('m', 'deflection of the tip across the arm',
                                lambda run: run.deflection()[:, 1]),
     'tip_angle': Quantity('rad', 'direction of the tip as seen from the root, straight arm: 0',
-                          _tip_angle),
+                          lambda run: np.angle(run.model.manipulator.arm.length
+                                               + run.deflection() @ [1.0, 1.0j])),
     'tip_rotation': Quantity('rad', 'rotation of the end effector relative to the shaft',
                              lambda run: run.rotation()),
     'root_strain': Quantity('', 'strain of the outer fibre at the gauge',

@@ -66,12 +66,13 @@ class Search:
     A search for the least sum of squares of an Objective, `first` from some values by name.
 
     `tried` starts led to x and to `others` that fit as well, values by name; `stopped` says what
-    ended the search early. `tell` is called with a text for each start and search.
+    ended the search early. `tell` is called with a text for each start and search, and `secants`
+    is the most in a row: fewer runs, but another minimum where squares are jagged.
     """
 
     def __init__(self, objective: Objective, tell: Callable[[str], object] = lambda text: None,
-                 first: Mapping[str, float] = MappingProxyType({})) -> None:
-        self.objective, self._tell = objective, tell
+                 first: Mapping[str, float] = MappingProxyType({}), secants: int = 8) -> None:
+        self.objective, self._tell, self._secants = objective, tell, secants
         self.first = objective.within(np.array([
             free.coordinate(first.get(free.name, free.start)) for free in objective.free]))
         self.x, self.others, self.tried = self.first, list[dict[str, float]](), 1
@@ -151,9 +152,10 @@ class Search:
                                 else self.first, _SETTLED_ENOUGH, _ROUGH)
         except TimeIsUp as stop:
             self.stopped = str(stop)
+        finally:
             self.set_deadline(math.inf)
-            self.objective.estimate_deviations(self._best[1])
-            return self._best[1]
+        self.objective.estimate_deviations(self._best[1])
+        return self._best[1]
 
     def _settle(self, x, enough=_SETTLED_CHANGE, accuracy=_LOOSE):
         """Return the minimum near x, with the deviations of the sensors that it finds."""
@@ -251,12 +253,13 @@ class Search:
                                  key=lambda each: each[0])
             return rows
 
-        jac = Secants(some.residuals, lambda x: some.jacobian(x, accuracy.step, False))
+        jac = Secants(some.residuals, lambda x: some.jacobian(x, accuracy.step, False),
+                      self._secants)
         end = least_squares(
             residuals, some.within(x), jac, (some.low, some.high), x_scale='jac', loss=some.loss,
             ftol=accuracy.ftol, xtol=accuracy.xtol, gtol=1e-12, max_nfev=accuracy.max_nfev)
-        left = accuracy.max_nfev - end.nfev
-        if jac.count > 1 and left and accuracy.ftol <= _TIGHT.ftol:  # it ends by differences
+        if jac.count > 1 and (left := accuracy.max_nfev - end.nfev) and (
+                accuracy.ftol <= _TIGHT.ftol):  # it ends by differences
             return self._solve(accuracy._replace(max_nfev=left), end.x, objective)
         inside = end.active_mask == 0
         size = np.linalg.norm(end.jac, axis=0)[inside] + 1e-300

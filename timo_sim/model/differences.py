@@ -12,8 +12,7 @@ import numpy as np
 _STENCILS = {1: ((1, 1.0),),
              2: ((-1, -0.5), (1, 0.5)),
              4: ((-2, 1.0 / 12.0), (-1, -2.0 / 3.0), (1, 2.0 / 3.0), (2, -1.0 / 12.0))}
-# Part of what the coordinates of a move do, each alone, that is not foreseen; most secants.
-_MISSED, _MOST_SECANTS = 0.2, 8
+_MISSED = 0.2  # part of what the coordinates of a move do, each alone, that is not foreseen
 
 
 class Differences(NamedTuple):
@@ -60,19 +59,20 @@ class Secants:
     The Jacobian of a function, (n,) of (p,), at points of a search; `jacobian` makes one anew.
 
     Where the last one foresees the values at the next point, it is changed as little as makes it
-    foresee them exactly, in coordinates that move the values alike, and `count` is one more.
-    Source: Broyden, Mathematics of Computation 19 (1965) 577-593.
+    foresee them exactly, in coordinates that move the values alike, and `count` is one more, to
+    the `most`. Source: Broyden, Mathematics of Computation 19 (1965) 577-593.
     """
 
     def __init__(self, function: Callable[[np.ndarray], np.ndarray],
-                 jacobian: Callable[[np.ndarray], np.ndarray]) -> None:
-        self._function, self._jacobian, self.count = function, jacobian, _MOST_SECANTS
+                 jacobian: Callable[[np.ndarray], np.ndarray], most: int) -> None:
+        self._function, self._jacobian, self._most = function, jacobian, most
         self._last: Any = None
+        self.count = most
 
     def __call__(self, x: np.ndarray) -> np.ndarray:
         """Return the Jacobian at x, shape (n, p)."""
         values, near = self._function(x), False
-        if self.count < _MOST_SECANTS:
+        if self.count < self._most:
             before, known, slope = self._last
             move = x - before
             along = move * np.sum(slope**2, axis=0)
