@@ -493,11 +493,11 @@ def overview():
         if not hand and not own:
             continue
         kept = [*own.get('kept', []), *['its time was up'] * own.get('stopped', False)]
-        done, star = 'held' in own, ' *' * own.get('before', False)
+        done = 'held' in own
         rows.append([
             f'[{case.lab}](real_arm/{case.name}.txt)', ', '.join(
                 name.replace('_', ' ') for name in hand or own['blind']),
-            in_words(held_out(hand)), in_words(own.get('held')) + star,
+            in_words(held_out(hand)), in_words(own.get('held')),
             in_words(own.get('blind')), *map(in_words, own.get('rivals', rivals)),
             best_of(trials) if trials else '', '; '.join(kept) or 'nothing' * done,
             f"{own['seconds']:.0f} s" if done else ''])

@@ -73,6 +73,8 @@ def test_a_snapshot_is_of_one_step_while_another_thread_advances():
         while not ends.done():
             seen = simulator.snapshot()
             assert abs(seen.joint_positions[2] - start - 3.0 * seen.step * step) < 1e-6
+        ends.result()  # it has raised nothing
+    assert 0 < seen.step <= simulator.steps == 50_000
 
 
 # Prints the constants that machine code gets: nothing else in a step comes from BLAS.

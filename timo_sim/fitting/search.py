@@ -270,8 +270,9 @@ class Search:
     def derivatives(self) -> tuple[np.ndarray, list[str]]:
         """Return the weighted derivatives of all residuals at the end, (n, p), and what jumps."""
         objective, x = self.objective, self.x
+        jacobian = objective.jacobian(x)
         for central in False, True:  # one side does where nothing jumps
-            jacobian, wide = objective.jacobian(x), objective.jacobian(x, _WIDE, central)
+            wide = objective.jacobian(x, _WIDE, central)
             size, other, apart = (
                 np.linalg.norm(each, axis=0) for each in (jacobian, wide, jacobian - wide))
             rough = apart > _MAX_DIFFERENCE * np.minimum(size, other)

@@ -186,7 +186,7 @@ class Simulator(Stateful, PointsOfArm):
         return np.array(self.snapshot().effort)
 
     def snapshot(self) -> Snapshot:
-        """Return a Snapshot of now."""
+        """Return a Snapshot of now, of one step also while another thread advances."""
         with self._lock:
             return Snapshot(scene=self.scene, model=self.model, step=self.steps,
                             motion=self.motion.values, load=self._load.tolist(),
