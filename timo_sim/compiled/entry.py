@@ -3,7 +3,7 @@
 
 """Entry points: compiled functions that Python calls."""
 
-from collections.abc import Callable
+from collections.abc import Callable, Sequence
 import ctypes
 from functools import partial
 from operator import is_
@@ -98,7 +98,7 @@ class Call:
         self._any_size = any_size
         self._places = sizes + [each.place for each in constants]
         # Cache: arguments of the last call, and what passed them. The same object needs no check.
-        self._last: tuple[list[Any], list[Any]] = [_NONE] * len(wanted), [None] * len(wanted)
+        self._last: tuple[Sequence[Any], list[Any]] = [_NONE] * len(wanted), [None] * len(wanted)
 
     def __reduce__(self):
         return partial(self._entry.of, any_size=self._any_size), self._constants
@@ -112,14 +112,17 @@ class Call:
 
     def _check(self, args):
         """Return what passes the arguments."""
-        values, kept = map(list, self._last)
-        places = [*kept]
-        for k, (value, last, (place, once)) in enumerate(
-                zip(args, values, self._wanted, strict=True)):
+        values, kept = self._last
+        places, lent = [*kept], []
+        for k, (value, last) in enumerate(zip(args, values, strict=True)):
             if value is not last:
+                place, once = self._wanted[k]
                 places[k] = place(value)
-                if once and getattr(value, 'nbytes', 0) <= _SHORT:
-                    values[k], kept[k] = value, places[k]
+                if not once or getattr(value, 'nbytes', 0) > _SHORT:
+                    lent.append(k)
+        values, kept = ([*args], [*places]) if lent else (args, places)
+        for k in lent:  # of these nothing is kept
+            values[k], kept[k] = _NONE, None
         self._last = values, kept
         return places
 

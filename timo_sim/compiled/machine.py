@@ -16,10 +16,10 @@ from contextvars import ContextVar
 import functools
 import gc
 import hashlib
-from importlib.metadata import version
 import threading
 from typing import Any
 
+import llvmlite
 import llvmlite.binding as llvm
 
 from timo_sim.compiled import store
@@ -61,7 +61,7 @@ def file_name(entry: Any, kinds: tuple[type, ...]) -> str:
     names = (f'{kind.__module__.removeprefix("timo_sim.")}.{kind.__name__}' for kind in kinds)
     digest = store.digest_of_sources(entry.__module__, *(kind.__module__ for kind in kinds))
     # An older LLVM does not read the code of a newer one.
-    return f'{entry.name}-{"-".join(names)}-{digest}-{version("llvmlite")}.bc'
+    return f'{entry.name}-{"-".join(names)}-{digest}-{llvmlite.__version__}.bc'
 
 
 @functools.cache

@@ -18,7 +18,6 @@ import errno
 import fcntl
 import functools
 import hashlib
-from importlib.metadata import version
 import os
 from pathlib import Path
 import stat
@@ -56,6 +55,7 @@ def digest_of_sources(*modules: str) -> str:
 @functools.cache
 def store_directory() -> Path | None:
     """Return the folder for code of these sources; warn and return None if none is usable."""
+    from importlib.metadata import version  # 20 ms, which code that is a part of the package spares
     name = f'{digest_of_sources()}-{version("numba")}-{version("llvmlite")}'
     refused = []
     for root in _roots():

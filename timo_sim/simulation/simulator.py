@@ -391,11 +391,12 @@ class Simulator(Stateful, PointsOfArm):
                 self._state, self._load, NO_LOADS, samples, 0)
         before = (self._state.copy(), self._load.copy(), self.integration.memory.copy(),
                   self.tip_load, self.model, self.integration)
-        first, done = self.steps - self._origin, 0
+        first, done, change = self.steps - self._origin, 0, self._next_tip
         while done < count:
-            number = first + done
-            sample = self._change_tip(number) if self._next_tip <= number else None
-            part = min(count - done, CHUNK, self._next_tip - number)
+            number, sample = first + done, None
+            if change <= number:
+                sample, change = self._change_tip(number), self._next_tip
+            part = min(count - done, CHUNK, change - number)
             loads = self._table.stages(number, part, commanded)
             reached = (advance or self.integration.advance)(
                 self._state, self._load, loads, samples, done)
