@@ -77,6 +77,37 @@ def test_a_snapshot_is_of_one_step_while_another_thread_advances():
     assert 0 < seen.step <= simulator.steps == 50_000
 
 
+def test_a_batch_shows_one_step_while_other_threads_advance():
+    batch, alone = (timo_sim.Batch({'initial.shaft_velocity': 3.0}, n=3) for _ in range(2))
+    angles, places = [], [alone.position()[0].tolist()]
+    for _ in range(6000):
+        angles.append(alone.step().shaft[0])
+        places.append(alone.position()[0].tolist())
+    with ThreadPoolExecutor(2) as pool:
+        ends = [pool.submit(lambda: [batch.step().shaft[0] for _ in range(3000)])
+                for _ in range(2)]
+        while not all(each.done() for each in ends):
+            assert batch.position()[0].tolist() in places
+        seen = [shaft for each in ends for shaft in each.result()]
+    assert sorted(seen) == sorted(angles)  # each step is shown to the thread that did it
+
+
+def test_an_observer_shows_one_update_while_another_thread_makes_the_next():
+    scene = timo_sim.load_scene({'carrier.held': 'both', 'sensor.encoder.noise': 1e-4})
+    observer, alone = (timo_sim.observer(scene) for _ in range(2))
+    angle, roots = {'encoder': scene.values['initial.shaft']}, {}
+    for _ in range(2000):
+        motion = alone.update(angle, {'torque': 1.0})
+        roots[motion.values.tobytes()] = alone.covariance.tobytes()
+    with ThreadPoolExecutor(1) as pool:
+        ends = pool.submit(lambda: [observer.update(angle, {'torque': 1.0}).values.tobytes()
+                                    for _ in range(2000)])
+        known = {*roots.values(), timo_sim.observer(scene).covariance.tobytes()}
+        while not ends.done():
+            assert observer.covariance.tobytes() in known
+        assert ends.result() == [*roots]
+
+
 # Prints the constants that machine code gets: nothing else in a step comes from BLAS.
 _CONSTANTS = """
 import hashlib, timo_sim

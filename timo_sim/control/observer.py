@@ -157,7 +157,8 @@ class Observer(Stateful, PointsOfArm):
     @property
     def disturbance(self) -> np.ndarray:
         """The last of `states`, shape (k,)."""
-        return self._known.disturbance.copy()
+        with self._lock:
+            return self._known.disturbance.copy()
 
     @property
     def _root(self):
@@ -172,7 +173,8 @@ class Observer(Stateful, PointsOfArm):
         the first mode, sections, that times the first frequency for rates; higher modes have the
         same rates, and bend less by their frequencies.
         """
-        return self._root @ self._root.T
+        with self._lock:
+            return self._root @ self._root.T
 
     @covariance.setter
     def covariance(self, values: ArrayLike) -> None:
@@ -183,17 +185,20 @@ class Observer(Stateful, PointsOfArm):
         except ValueError:  # of which that of cholesky is one
             raise ParameterError('covariance must be a symmetric and positive definite matrix of '
                                  f'{len(self.states)} rows') from None
-        self._root[:] = root
+        with self._lock:
+            self._root[:] = root
 
     @property
     def innovation(self) -> np.ndarray:
         """Of the last update, what was measured less what was expected, shape (y,)."""
-        return (self._known.shown - self._known.expected)[:self._taken]
+        with self._lock:
+            return (self._known.shown - self._known.expected)[:self._taken]
 
     @property
     def normalised_innovation(self) -> np.ndarray:
         """The same, whitened: independent and standard normal if the model is right."""
-        return self._known.normalised[:self._taken].copy()
+        with self._lock:
+            return self._known.normalised[:self._taken].copy()
 
     @property
     def consistency(self) -> float:
@@ -203,17 +208,19 @@ class Observer(Stateful, PointsOfArm):
     @property
     def deflection_deviation(self) -> np.ndarray:
         """Standard deviations of `deflection()`: axial and transverse, shape (2,) [m]."""
-        q, last = self.motion.q, len(self._places) // 2
-        slope = self.model.centre_line_rate(
-            np.tile(q, (len(q), 1)), np.eye(len(q)), self.model.tip_point)[:, 0]
-        return np.linalg.norm(slope.T @ self._root[last - len(q):last], axis=1)
+        with self._lock:
+            q, last = self.motion.q, len(self._places) // 2
+            slope = self.model.centre_line_rate(
+                np.tile(q, (len(q), 1)), np.eye(len(q)), self.model.tip_point)[:, 0]
+            return np.linalg.norm(slope.T @ self._root[last - len(q):last], axis=1)
 
     def expected(self, sensor: str) -> np.ndarray:
         """Return what any sensor of the arm should show now, without noise, shape (axes,)."""
         replace(_NAME, name='expected').check(sensor)
-        load = self.simulator.integration.acting(self.simulator.load)
-        joints = Joints(self.model, self.motion.values[np.newaxis],
-                        (load + self.disturbance @ self._known.unit)[np.newaxis])
+        with self._lock:
+            load = self.simulator.integration.acting(self.simulator.load)
+            joints = Joints(self.model, self.motion.values[np.newaxis],
+                            (load + self.disturbance @ self._known.unit)[np.newaxis])
         return self._values[f'sensor.{sensor}.bias'] + _SENSORS[sensor].of_joints(joints)[0]
 
     @checked(measured=MAPPING, command=MAPPING)
@@ -249,12 +256,13 @@ class Observer(Stateful, PointsOfArm):
         commanded = commanded_load(self._values, **(command or {}))
         with self._lock:
             simulator._advance_with(partial(self._advance, count, shown), count, commanded)
+            motion = Motion(known.motion.copy())
         if known.square[0] > _INCONSISTENT**2 and not self.warning:
             self.warning = (
                 f'measurements differ {self.consistency:.1f} times as much from expected ones as '
                 'the covariance says: the model, the noise of sensors or the disturbance is wrong')
             warn(self.warning)
-        return Motion(known.motion.copy())
+        return motion
 
     def _checked(self, name, value):
         if name not in self._rules:

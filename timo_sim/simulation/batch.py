@@ -246,7 +246,8 @@ class Batch(Stateful):
         return Motion(self._rows('motion'))
 
     def _rows(self, field):
-        return self._lanes.host(from_lanes(getattr(self._lanes, field), self.n))
+        with self._lock:
+            return self._lanes.host(from_lanes(getattr(self._lanes, field), self.n))
 
     def on_device(self) -> dict[str, Any]:
         """
@@ -255,13 +256,15 @@ class Batch(Stateful):
         They are the `values` of `motion`, (n, 2 (3 + N)), `tip`, (n, 3), its place along and
         across the shaft [m] and its rotation [rad], and `failed`, (n,).
         """
-        return {'motion': from_lanes(self._lanes.motion, self.n),
-                'tip': from_lanes(self._lanes.tip, self.n),
-                'failed': from_lanes(self._lanes.progress, self.n)[:, 0] == 0.0}
+        with self._lock:
+            return {'motion': from_lanes(self._lanes.motion, self.n),
+                    'tip': from_lanes(self._lanes.tip, self.n),
+                    'failed': from_lanes(self._lanes.progress, self.n)[:, 0] == 0.0}
 
     def position(self) -> np.ndarray:
         """Return positions of the tips in world axes, shape (n, 2) [m]."""
-        motion, tip = self.motion, self._rows('tip')
+        with self._lock:
+            motion, tip = self.motion, self._rows('tip')
         return motion.carrier + np.column_stack(rotate(motion.shaft, *tip[:, :2].T))
 
     def deflection(self) -> np.ndarray:
@@ -300,13 +303,18 @@ class Batch(Stateful):
                                  f'{chosen.dtype} of shape {chosen.shape}')
         motions = self._initial if motion is None else numbers(
             'motion', motion, self._initial.shape, self._initial.shape[1:])
-        rows, lanes = np.flatnonzero(chosen), self._lanes
-        motions = np.broadcast_to(motions, self._initial.shape)[rows]
-        for number in self._tips:
-            if chosen[number]:
-                self._tips[number] = TipLoad(tip_of(self.scenes[number]))
-                self._set_model(number, self.scenes[number].build())
-        states, memory = self._start_of(rows, motions) if motion is not None else (
+        rows = np.flatnonzero(chosen)
+        with self._lock:
+            self._reset(rows, np.broadcast_to(motions, self._initial.shape)[rows],
+                        given=motion is not None)
+
+    def _reset(self, rows, motions, given):
+        """Return some lanes to the start of their loads, with motions that are initial or given."""
+        lanes = self._lanes
+        for number in self._tips.keys() & {*rows.tolist()}:
+            self._tips[number] = TipLoad(tip_of(self.scenes[number]))
+            self._set_model(number, self.scenes[number].build())
+        states, memory = self._start_of(rows, motions) if given else (
             each[self._which[rows]] for each in self._at_start)
         for field, new in (
                 (lanes.state, states), (lanes.motion, motions), (lanes.friction, memory),
@@ -347,9 +355,11 @@ class Batch(Stateful):
         """
         commanded = commanded_load(self._needed, (self.n,), **commands) if (
             self._device is None) else self._on_device(commands)
-        self.advance(1 if duration is None else steps_in(duration, self.scenes[0].step), commanded)
+        count = 1 if duration is None else steps_in(duration, self.scenes[0].step)
         stays = self._device is not None and any(map(self._device.owns, commands.values()))
-        return Motion(self.on_device()['motion']) if stays else self.motion
+        with self._lock:
+            self.advance(count, commanded)
+            return Motion(self.on_device()['motion']) if stays else self.motion
 
     def _on_device(self, commands):
         """Return commands as loads on the device, (n, LOADS)."""
