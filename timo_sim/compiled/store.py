@@ -55,7 +55,7 @@ def digest_of_sources(*modules: str) -> str:
 @functools.cache
 def store_directory() -> Path | None:
     """Return the folder for code of these sources; warn and return None if none is usable."""
-    from importlib.metadata import version  # 20 ms, which code that is a part of the package spares
+    from importlib.metadata import version  # 20 ms that prebuilt code spares
     name = f'{digest_of_sources()}-{version("numba")}-{version("llvmlite")}'
     refused = []
     for root in _roots():

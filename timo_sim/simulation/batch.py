@@ -309,7 +309,7 @@ class Batch(Stateful):
                         given=motion is not None)
 
     def _reset(self, rows, motions, given):
-        """Return some lanes to the start of their loads, with motions that are initial or given."""
+        """Return some lanes to the start of their loads; the motions are initial or given."""
         lanes = self._lanes
         for number in self._tips.keys() & {*rows.tolist()}:
             self._tips[number] = TipLoad(tip_of(self.scenes[number]))
