@@ -83,6 +83,14 @@ def test_what_it_observes_is_what_the_simulator_does():
                 + 0.01 * np.mean(acts[k]**2)), abs=1e-6)
 
 
+def test_variations_may_have_another_step_and_a_free_carrier():
+    environments = ReachVectorEnv(2, variations=2 * [
+        {'integrator.step': 0.001, 'carrier.held': 'none'}])
+    environments.reset(seed=1)
+    found = environments.step(np.ones((2, 1)))[0]
+    assert environments.batch.t == pytest.approx([0.02, 0.02]) and found.shape == (2, 6)
+
+
 def test_an_arm_that_breaks_ends_its_episode_and_the_others_go_on():
     environments = ReachVectorEnv(
         2, {**FREE, 'model.formulation': 'newton'}, [{}, {'initial.shaft_velocity': 1e5}],

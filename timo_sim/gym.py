@@ -119,6 +119,7 @@ class ReachVectorEnv(Stateful, VectorEnv):
                                  f'{len(variations)}')
         scenes = [scene] * num_envs if variations is None else [
             scene.vary(values) for values in variations]
+        scene = scenes[0]  # a Batch has one time step, and the same axes held, in all
         self._force, self._duration = _FORCE.check(force), _DURATION.check(duration)
         self._torque = np.array([each.values['motor.torque_limit'] for each in scenes])
         self._farthest = _FARTHEST_GOAL.check(farthest_goal)
