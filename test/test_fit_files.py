@@ -19,6 +19,8 @@ import yaml
 
 import timo_sim
 from timo_sim.fitting.logs import read_log
+from timo_sim.fitting.problem import Driven
+from timo_sim.fitting.record import Channel
 from timo_sim.log.columns import read_table
 
 T = 0.01 * np.arange(200)
@@ -78,6 +80,22 @@ def test_columns_by_number_and_of_a_matrix(tmp_path):
         'time': {'period': 0.01}, 'columns': {0: 'shaft', 1: 'torque'}, 'start': 0.5, 'end': 1.5})
     assert np.array_equal(record.outputs['shaft'].values, ANGLE[50:151])
     assert record.outputs['shaft'].t == pytest.approx(T[:101], abs=1e-12)
+
+
+def test_a_part_that_begins_between_samples_begins_with_the_values_there():
+    t = np.arange(200) * 0.01
+    whole = timo_sim.Record.of({
+        'drive': (t, np.sin(2.0 * t)), 'torque': (t, t), 'force_x': Channel(t, t, hold='linear'),
+    }, {'root_strain': (t, t)})
+    record = whole.cut(0.8747)
+    assert record.inputs['torque'].values[0] == pytest.approx(0.87)
+    assert record.inputs['force_x'].values[0] == pytest.approx(0.8747)
+    # The driven shaft's acceleration, twice the third of a piece's coefficients.
+    rows = Driven(record.inputs['drive'], 1.0, 0.0, 0.0).rows(0.001)[1:-1]
+    assert 2.0 * rows[:, 3] == pytest.approx(-4.0 * np.sin(2.0 * (rows[:, 0] + 0.8747)), abs=1e-3)
+    # A sample that round-off puts behind the start is at the start.
+    for start in np.nextafter(t[7], [0.0, 1.0]):
+        assert np.diff(whole.cut(start).inputs['drive'].t).min() > 0.009
 
 
 def test_rows_without_a_number_are_left_out(tmp_path):

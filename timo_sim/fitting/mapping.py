@@ -95,9 +95,9 @@ def _record(path, mapping, source):
         name = entry.get('quantity')
         known = {**INPUT_UNITS, **OUTPUTS}
         if not isinstance(name, str) or name not in known:
-            raise ParameterError(f'columns: {column}: quantity must be one of '
-                                 f'{", ".join(known)}, got {short(name)}'
-                                 f'{did_you_mean(name, known)}')
+            raise ParameterError(
+                f'columns: {column}: quantity must be one of {", ".join(known)}, got '
+                f'{short(name)}{did_you_mean(name, known)}')
         kept = inputs if name in INPUT_UNITS else outputs
         if name in kept:
             raise ParameterError(f'columns: {name} is given twice')

@@ -10,6 +10,7 @@ from dataclasses import dataclass, replace
 from typing import Any, Callable, NamedTuple
 
 import numpy as np
+from scipy.interpolate import make_interp_spline
 
 from timo_sim.model.layout import INPUTS
 from timo_sim.scene.parameters import (
@@ -72,7 +73,7 @@ def unit_of(name: str) -> str:
     return INPUT_UNITS[name] if name in INPUT_UNITS else OUTPUTS[name].unit
 
 
-HOLDS = 'zero', 'linear'
+HOLDS = {'zero': 0, 'linear': 1}  # degree of an input between its samples
 # Limits of values, and of noise relative to them, that keep squares of residuals finite.
 _MAX_VALUE, _MIN_NOISE = 1e100, 1e-12
 _MIN_SAMPLES = 20  # samples of an output, or of a drive
@@ -141,20 +142,17 @@ class Record:
         finite are left out. `source` is for messages. Raises ParameterError if a quantity is
         unknown, has too few samples, or times do not ascend.
         """
-        ins: dict[str, Channel] = {}
-        outs: dict[str, Channel] = {}
-        rules: Any = (ins, inputs, INPUT_UNITS, 'input'), (outs, outputs, OUTPUTS, 'output')
-        for kept, given, known, kind in rules:
-            check_keys(f'{kind}s of {source}', given, known)
-            for name, channel in given.items():
-                kept[name] = _check_channel(name, channel, source, kind == 'output')
+        given: Any = (inputs, INPUT_UNITS, 'input'), (outputs, OUTPUTS, 'output')
+        for part, known, kind in given:
+            check_keys(f'{kind}s of {source}', part, known)
+        ins, outs = ({name: _check_channel(name, channel, source, kind == 'output')
+                      for name, channel in part.items()} for part, _, kind in given)
         if not outs:
             raise ParameterError(f'a record must have an output, one of {", ".join(OUTPUTS)} '
                                  f'({source})')
         begin = min(channel.t[0] for channel in (*ins.values(), *outs.values()))
-        for part in (ins, outs):
-            part.update({name: channel._replace(t=channel.t - begin)
-                         for name, channel in part.items()})
+        ins, outs = ({name: channel._replace(t=channel.t - begin)
+                      for name, channel in part.items()} for part in (ins, outs))
         return Record(ins, outs, source)
 
     @property
@@ -178,21 +176,25 @@ class Record:
         """
         Return the part from `start` to `end` [s], whose time begins at 0 again.
 
-        An input without a sample in it keeps its value; ParameterError: an output has too few.
+        An input has its value at `start` there; ParameterError: an output has too few samples.
         """
         if not 0.0 <= start < end:
             raise ParameterError(f'start and end must be 0 <= start < end, got {start:g} and '
                                  f'{end:g}')
 
+        near = 1e-6 * self.period  # within which a sample is at the start
+
         def part(name, channel, is_input):
-            first, last = np.searchsorted(channel.t, [start, end])
-            if is_input and first and (first == len(channel.t) or channel.t[first] > start):
-                first -= 1  # its value still holds at the start
-            t = np.maximum(channel.t[first:last + 1] - start, 0.0)
-            within = t <= end - start
-            found = channel._replace(t=t[within], values=channel.values[first:last + 1][within])
-            if is_input and name != DRIVE and not len(found.t):
-                found = channel._replace(t=np.zeros(1), values=channel.values[first:first + 1])
+            t, values = channel.t - start, channel.values
+            if is_input and t[0] < -near and np.abs(t).min() > near:
+                after = np.searchsorted(t, 0.0)
+                degree = 5 if name == DRIVE else HOLDS[channel.hold]
+                x, y = (each[max(after - 10, 0):after + 10] for each in (t, values))
+                value = make_interp_spline(x, y, min(degree, len(x) - 1))(min(0.0, x[-1]))
+                t, values = np.insert(t, after, 0.0), np.insert(values, after, value)
+            kept = (t >= -near) & (t <= end - start)
+            kept[0] |= is_input and name != DRIVE and not kept.any()  # it holds before, too
+            found = channel._replace(t=np.maximum(t[kept], 0.0), values=values[kept])
             _check_count(name, len(found.t), not is_input, f'from {start:g} s to {end:g} s of '
                          f'{self.duration:g} s, {self.source}')
             return found
@@ -226,8 +228,7 @@ def _check_channel(name, channel, source, is_output):
     if np.abs(values).max() > _MAX_VALUE:
         raise ParameterError(f'values of {name} must be at most {_MAX_VALUE:g} in size, got '
                              f'{np.abs(values).max():g} ({source})')
-    late = np.flatnonzero(np.diff(t) <= 0.0)
-    if len(late):
+    if len(late := np.flatnonzero(np.diff(t) <= 0.0)):
         raise ParameterError(f'times of {name} must ascend, got {t[late[0]]:.12g} s and then '
                              f'{t[late[0] + 1]:.12g} s ({source})')
     found = Channel(t, values, *more)
