@@ -48,6 +48,29 @@ def test_the_stop_is_found_also_with_uneven_samples():
     assert not found.remarks
 
 
+@pytest.mark.parametrize('hertz, ratio, rate, end', [
+    (20.0, 2e-3, 400.0, None), (60.0, 5e-4, 1000.0, 20.0), (8.0, 5e-3, 1000.0, 60.0)])
+def test_a_long_record_of_a_fast_vibration_has_its_frequency_and_amplitude(
+        hertz, ratio, rate, end):
+    t, omega = np.arange(0.0, end or 120.0, 1.0 / rate), 2.0 * np.pi * hertz
+    values = np.exp(-ratio * omega * t) * np.cos(omega * np.sqrt(1.0 - ratio**2) * t)
+    values += 0.01 * np.random.default_rng(0).normal(size=len(t))
+    found = timo_sim.ringdown(t, values, *((0.0, end) if end else ()))
+    assert found.frequency == pytest.approx([hertz], rel=1e-4)
+    assert found.damping == pytest.approx([ratio], rel=0.01)
+    # At the first sample of the fit.
+    assert found.amplitude == pytest.approx(np.exp(-ratio * omega * found.t[:1]), rel=2e-3)
+    assert not found.remarks
+
+
+def test_a_faster_vibration_is_not_seen_as_a_slow_one():
+    t = np.arange(0.0, 60.0, 1.0 / 2000.0)
+    values = np.exp(-0.004 * np.pi * t) * np.cos(2.0 * np.pi * t)
+    values += 0.9 * np.exp(-1.6 * t) * np.cos(2.0 * np.pi * 26.0 * t)
+    found = timo_sim.ringdown(t, values, 0.0, 60.0)
+    assert np.abs(found.frequency[:, np.newaxis] - [1.0, 26.0]).min(axis=1).max() < 0.01
+
+
 @pytest.mark.parametrize('values, said', [
     (0.1 * np.random.default_rng(5).normal(size=1000), 'no frequency with 3 periods'),
     (np.sin(30.0 * TIME) + 0.01 * np.random.default_rng(5).normal(size=1000), '4.775 Hz goes on'),

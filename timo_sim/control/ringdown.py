@@ -13,7 +13,7 @@ import numpy as np
 from numpy.typing import ArrayLike
 from scipy.linalg import eigh, eigvals, hankel, lstsq, matmul_toeplitz, pinv
 from scipy.optimize import least_squares
-from scipy.signal import correlate
+from scipy.signal import correlate, firwin, oaconvolve
 
 from timo_sim.control.shaping import KINDS, shaper
 from timo_sim.extras import optional
@@ -29,6 +29,8 @@ _STARTS, _HALVINGS = 6, 7   # starts within a length that are tried, and lengths
 _PERIODS = 3.0              # least periods of a vibration in its record
 _DAMPED = 0.3               # damping ratio above which what dies out is no vibration
 _WEAK = 0.1                 # amplitude relative to the strongest that is not listed
+_PART = 0.25                # of a period: longest time between means of samples
+_HEARD, _LOUD = 0.01, 6.0   # least peak in a spectrum, of the largest, and in medians
 _SURE = 6.0                 # least amplitude in standard deviations
 _STRAIGHT = 0.5             # misfit of a straight envelope relative to that of an exponential one
 _POOR = 0.5                 # what a fit may leave
@@ -116,13 +118,21 @@ class _Fit:
     """
 
     def __init__(self, t: np.ndarray, values: np.ndarray, most: int = _MOST) -> None:
-        # The mean of each block of samples has the same poles.
-        dt = float(np.median(np.diff(t)))
+        self.dt = dt = float(np.median(np.diff(t)))
         even = np.arange(t[0], t[-1] + 0.5 * dt, dt)
+        smooth = np.interp(even, t, values)
+        # What a low-pass filter makes of samples has the same poles. Where there would be too few
+        # of its values for the fastest vibration they are those of the beginning alone. To find
+        # where the arm rings, means of all blocks do.
         block = math.ceil(len(even) / most)
-        even, smooth = (each[:len(even) // block * block].reshape(-1, block).mean(axis=1)
-                        for each in (even, np.interp(even, t, values)))
-        self.t, self.values = (even, smooth) if block > 1 else (t, values)
+        self.weights = np.full(block, 1.0 / block)
+        if block > 1 and most == _MOST:
+            block = min(block, max(int(_PART / dt / _fastest(smooth, dt)), 1))
+            self.weights = firwin(12 * block + 1, 0.9 / block) if block > 1 else np.ones(1)
+        longer = len(self.weights) - 1
+        smooth = oaconvolve(smooth[:most * block + longer], self.weights, 'valid')[::block]
+        even = t[0] + dt * (0.5 * longer + block * np.arange(len(smooth)))
+        self.t, self.values = (even, smooth) if block > 1 else (t[:most], values[:most])
         tries = 20 if most == _MOST else 1
         self._solve(min(_pencil(smooth - smooth.mean(), block * dt),
                         key=lambda poles: np.std(self._residual(poles)) * 1.1**len(poles)), tries)
@@ -165,9 +175,13 @@ class _Fit:
         parts = unmix @ self.values
         self.fitted = basis @ parts
         self.residual = self.values - self.fitted
-        self.amplitude = np.hypot(*by_pole(parts[:count], parts[count:-2]))
+        shifts = self.dt * (np.arange(len(self.weights)) - 0.5 * (len(self.weights) - 1))
+        with np.errstate(over='ignore', invalid='ignore'):  # of what dies out at once
+            mean = np.abs(self.weights @ np.exp(np.multiply.outer(shifts, self.poles)))
+        self.amplitude = np.hypot(*by_pole(parts[:count], parts[count:-2])) / mean
         deviation = self._deviations(unmix.T)
-        self.amplitude_deviation = by_pole(deviation[:count], deviation[count:-2]).max(axis=0)
+        deviation = by_pole(deviation[:count], deviation[count:-2])
+        self.amplitude_deviation = deviation.max(axis=0) / mean
         if gain is not None:
             deviation = self._deviations(gain)
             self.deviation = by_pole(deviation[:count], deviation[count:])
@@ -206,6 +220,14 @@ class _Fit:
         for place in filter(self.dies_out, self.vibrations()):
             return self.deviation[0, place] / abs(self.poles[place])
         return math.inf
+
+
+def _fastest(values, dt):
+    """Return the highest frequency [Hz] whose peak in the spectrum is that of a vibration."""
+    size = np.abs(np.fft.rfft(values - values.mean()))
+    size[0] = 0.0
+    peaks = np.flatnonzero(size > max(_HEARD * size.max(), _LOUD * np.median(size)))
+    return max(peaks, default=1) / (dt * len(values))
 
 
 def _pencil(values, dt):
@@ -331,7 +353,7 @@ def _remarks(fit, places, steady, straight):
     if steady:
         yield (f'{steady} does not die out: it comes from a controller, a motor or the mains, and '
                'no shaper ends it')
-    if abs(fit.poles[places]).max() * (fit.t[-1] - fit.t[0]) > 0.4 * math.pi * len(fit.t):
+    if abs(fit.poles[places]).max() * fit.dt > 0.4 * math.pi:
         yield 'there are less than five samples in a period: measure faster'
     if straight:
         yield ('the vibration dies out along a straight line, as with dry friction, and not '
