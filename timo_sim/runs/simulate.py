@@ -25,7 +25,7 @@ _MOST_RUNS = 5         # whose errors are measured for a choice of modes and ste
 _HORIZON = 10.0        # their sim time by default [s]
 _MAX_STEPS = 200_000   # most steps of one
 _MARGIN = 2.0          # least ratio of the stated error to that of the choice
-_ENOUGH_COMPARED = 500  # samples at which the tips of two runs are compared, if there are more
+_COMPARED = 200_000    # steps at whose ends tips are compared, if there are more: for memory
 _MOST_SAMPLES = 20_000  # of a run whose rate of samples is not given
 _SHORTER_STEPS, _MORE_OF_MODES = 'a smaller integrator.step', 'more model.modes'
 _BEGUN = 0.1           # share of the distance that a warning needs, at which remedies are judged
@@ -50,9 +50,8 @@ def measure_error(run: Run, with_remedy: bool = True) -> Run:
 
 
 def _error(run, with_remedy):
-    # Tips of a long run are compared at some of its samples, each of which takes a quarter step.
     samples, scene = len(run.t) - 1, run.scene
-    run = _thin(run, max(k for k in range(1, 1 + max(1, samples // _ENOUGH_COMPARED))
+    run = _thin(run, max(k for k in range(1, 1 + max(1, samples // _COMPARED))
                          if samples % k == 0))
     scenes = (refine(scene, parts) for parts in choose_parts(scene))
     fine = next((each for each in (_alike(run, finer) for finer in scenes) if each), None)
@@ -217,7 +216,6 @@ def resolve(scene: Scene, duration: float,
 
 
 _EVERY = Parameter('sample_every', 1, '', 'steps between samples', low=1)
-_LEAST_COMPARED = 200  # the same, if there are fewer
 
 
 @checked(estimate=FLAG)
@@ -268,8 +266,8 @@ def simulate(scene: SceneLike, duration: float, sample_every: int = 1,
         raise ParameterError(
             f'sample_every = {sample_every} must divide the number of steps, {steps}')
     parts = 1
-    if estimate:  # samples of a short run are closer, so that enough are compared
-        least = -(-_LEAST_COMPARED * sample_every // max(1, steps))
+    if estimate:  # at samples alone, a vibration with their rate would always show the same error
+        least = -(-_COMPARED * sample_every // max(1, steps))
         parts = next(k for k in range(min(least, sample_every), sample_every + 1)
                      if sample_every % k == 0)
     try:
