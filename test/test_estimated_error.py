@@ -212,16 +212,17 @@ def test_the_error_under_commands_of_a_controller_is_not_that_of_its_loop():
     assert 'run the loop again with half the integrator.step' in simulator.warning
 
 
-def test_calls_whose_end_is_not_sampled_are_compared_at_their_own_samples():
-    """The error is that of calls which are followed one by one."""
+def test_the_error_does_not_depend_on_the_calls_that_advance():
+    """It is that after each step, also of calls without samples, or longer than a block."""
     found = []
-    for followed in (False, True):
-        simulator = timo_sim.EstimatingSimulator('paper')
-        for count in (300, 3, 4, 3, 4):
-            simulator.advance(count, sample_every=2)
-            assert not followed or simulator.measure_error()
+    for calls in ([(1, 1)] * 5003, [(3000, 0), (2003, 0)], [(5003, 7)], [(10, 3), (4993, 4992)]):
+        simulator, alone = timo_sim.EstimatingSimulator('paper'), timo_sim.Simulator('paper')
+        for count, every in calls:
+            for seen, expected in zip(simulator.advance(count, sample_every=every),
+                                      alone.advance(count, sample_every=every)):
+                assert np.array_equal(seen, expected)
         found.append(simulator.estimated_error)
-    assert found[0] == pytest.approx(found[1], rel=1e-6) and found[1] > 1e-8
+    assert found == pytest.approx([found[0]] * 4, rel=1e-9) and found[0] > 1e-8
 
 
 def test_the_finer_run_follows_changes_and_resets():

@@ -34,6 +34,7 @@ from timo_sim.scene.static_shapes import (
     AXIAL_PHASE, MORE_MODES, needed_static_of_finer, one_more_does)
 from timo_sim.simulation.simulator import Simulator
 from timo_sim.simulation.warnings import DivergenceError, inaccurate, NO_FINER_RUN, unseen_load
+from timo_sim.steps.steps import CHUNK
 
 _STRETCHES = 3  # they answer centrifugal forces, an acceleration, a force on the tip
 PARTS = 2, 8, 32  # of a step, from which those of the finer run are chosen
@@ -163,17 +164,14 @@ def _complex(values):
 
 
 class _Call(NamedTuple):
-    # A call of `advance` that the finer run has yet to follow.
+    # A call of `advance` that the finer run has yet to follow; motions are those after each step.
     steps: int
     commanded: np.ndarray | None
-    every: int
     motions: np.ndarray
 
-    def kind(self) -> tuple:
-        # Calls of an equal kind can be done as one; one that does not end with a sample cannot be
-        # joined.
-        return self.every, self.steps % self.every and id(self), (
-            None if self.commanded is None else self.commanded.tobytes())
+    def kind(self) -> bytes | None:
+        # Calls of an equal kind can be done as one.
+        return None if self.commanded is None else self.commanded.tobytes()
 
 
 class EstimatingSimulator(Simulator):
@@ -266,7 +264,7 @@ class EstimatingSimulator(Simulator):
             # Calls that differ in nothing but their number are one for the finer run.
             others = [self.finer.advance(
                 self._parts * sum(call.steps for call in alike), alike[0].commanded,
-                self._parts * alike[0].every)[0][1:]
+                self._parts)[0][1:]
                 for alike in (list(group) for _, group in groupby(calls, _Call.kind))]
         except DivergenceError:
             self._errors, self._is_known = (math.nan, math.nan), False
@@ -280,12 +278,24 @@ class EstimatingSimulator(Simulator):
         self.warning = self.warning or inaccurate(
             self.scene, *self._errors, commanded=self._is_commanded)
 
+    def _advance(self, count, commanded, samples, advance=None):
+        if not self._is_known or samples.every == 1:
+            super()._advance(count, commanded, samples, advance)
+            return
+        # Tips are compared after each step: a vibration may have the rate of the samples.
+        for first in range(0, max(1, count), CHUNK):
+            part = self.integration.samples(min(CHUNK, count - first), 1)
+            super()._advance(len(part.heat) - 1, commanded, part, advance)
+            if every := samples.every:
+                rows = slice(-(-first // every), (first + len(part.heat) - 1) // every + 1)
+                samples.motions[rows] = part.motions[-first % every::every]
+                samples.heat[rows] = part.heat[-first % every::every]
+
     def _note(self, count, commanded, samples):
         super()._note(count, commanded, samples)
         if count and self._is_known:
             self._is_commanded |= commanded is not None and bool(commanded.any())
-            self._behind.append(_Call(
-                count, None if commanded is None else commanded.copy(), samples.every or count,
-                samples.motions[1:].copy() if samples.every else self.motion.values[np.newaxis]))
-            if len(self._behind) >= _MAX_PENDING_CALLS:
+            self._behind.append(_Call(count, None if commanded is None else commanded.copy(),
+                                      samples.motions[1:].copy()))
+            if len(self._behind) >= _MAX_PENDING_CALLS or count == CHUNK:
                 self.measure_error()
