@@ -128,17 +128,33 @@ def test_a_bag_of_a_free_run_has_its_commands_and_their_time_outs(start, client,
     torque = client.command(Float64, TORQUE)
     client.create_subscription(JointState, STATES, seen.append, 100)
     client.wait(lambda: seen, 'states')
-    torque.publish(Float64(data=2.0))
-    client.wait(lambda: seen[-1].effort[2] == 2.0, 'the torque')
-    client.wait(lambda: seen[-1].effort[2] == 0.0, 'the time-out')
+    change = client.service(SetParameters, '/timo_sim/set_parameters')
+
+    def set_timeout(value):
+        assert change(parameters=[Parameter(
+            'command_timeout', value=value).to_parameter_msg()]).results[0].successful
+
+    # The last command is in force for longer than the time-out that ends it.
+    for force, timeout, later in (2.0, 0.2, 0.2), (3.0, 0.1, 0.1), (4.0, 0.0, 0.05):
+        set_timeout(timeout)
+        torque.publish(Float64(data=force))
+        client.wait(lambda: seen[-1].effort[2] == force, 'the torque')
+        if not timeout:
+            until = stamp(seen[-1]) + 0.3
+            client.wait(lambda: stamp(seen[-1]) > until, 'a command that is held')
+        set_timeout(later)
+        client.wait(lambda: seen[-1].effort[2] == 0.0, 'the time-out')
     assert node.end()[0] == 0
     bag, lines = recorder.write(tmp_path / 'bag.mcap'), []
     assert replay(bag, output=tmp_path / 'again.mcap', show=lines.append), lines
-    assert '2 commands and 0 resets' in lines[0] and 'compared' in lines[1], lines
-    begin, end = Recording(tmp_path / 'again.mcap').topics['~/motor_torque'].step
-    ours, _ = Recording(node.log).topics['~/motor_torque'].step
-    assert end - begin == 200
+    assert '6 commands and 0 resets' in lines[0] and 'compared' in lines[1], lines
+    begin, end = Recording(tmp_path / 'again.mcap').topics['~/motor_torque'].step.reshape(3, 2).T
+    ours, ended = Recording(node.log).topics['~/motor_torque'].step.reshape(3, 2).T
+    assert (end - begin).tolist()[:2] == [200, 100] and end[2] == ended[2]
     # On a busy machine the message may come late; the states around it bound its time.
-    assert abs(begin - ours) < 100
+    assert (abs(begin - ours) < 100).all()
+    replay(bag, {'integrator.step': 0.0005}, tmp_path / 'finer.mcap', show=lines.append)
+    finer = Recording(tmp_path / 'finer.mcap').topics['~/motor_torque'].step.reshape(3, 2).T
+    assert (finer[1] - finer[0]).tolist()[:2] == [400, 200] and finer[1, 2] == 2 * ended[2]
 
     assert any('same to the last bit' in line for line in replayed(node.log))

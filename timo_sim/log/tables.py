@@ -105,6 +105,8 @@ class Recording:
         By topic of the node, why its messages are not read.
     reset_times : ndarray of int or None
         Of a bag with ~/scene, the times at which its resets were published [ns].
+    timeouts : list of tuple
+        Of a bag with ~/scene, (step, command_timeout from it on [s], not checked), ascending.
 
     """
 
@@ -123,6 +125,7 @@ class Recording:
             raise LogError(f'{self.title} is a log of the node {self.name}, got '
                            f'{printable(node)}')
         self.reset_times: np.ndarray | None = None
+        self.timeouts: list[tuple[int, Any]] = []
         if not self.facts:
             self._read_scene()
         if self.changes:
@@ -159,6 +162,8 @@ class Recording:
             steps = [index(message['step']) for _, message in told]
             events = [message['event'] for _, message in told]
             given = [dict(message['set']) for _, message in told]
+            self.timeouts = [(step, dict(message['parameters']).get('command_timeout', 0.0))
+                             for step, (_, message) in zip(steps, told)]
             self.facts = {name: value if isinstance(value, str) else json.dumps(value)
                           for name, value in told[0][1].items()}
             if not 0 <= min(steps) <= max(steps) < 10**18:
@@ -173,7 +178,7 @@ class Recording:
         self.resets = np.array([steps[k] for k in resets], dtype=np.int64)
         self.reset_times = np.array([told[k][0] for k in resets], dtype=np.int64)
         self.changes = [(steps[k], sum(reset <= k for reset in resets), given[k])
-                        for k, event in enumerate(events) if event == 'set' and k]
+                        for k, event in enumerate(events) if event == 'set' and k and given[k]]
 
     @property
     def repeats(self) -> bool:

@@ -189,6 +189,7 @@ class SimNode(ParameterNode):
             if of_scene:
                 self._simulator.change(scene)
                 self._log.note(CHANGE, change_note(self.steps, of_scene))
+            if of_scene or 'command_timeout' in changed:  # a bag does not show time-outs
                 self._tell_scene('set', values, of_scene)
 
     def _tell_scene(self, event, values, given=None):

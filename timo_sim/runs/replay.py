@@ -23,7 +23,8 @@ from timo_sim.log.tables import Recording
 from timo_sim.runs.simulate import resolve
 from timo_sim.runs.run import Run
 from timo_sim.scene.parameters import (
-    check, checked, DEFAULTS, frame_names, ParameterError, PATH, steps_in, TEXT, whole_ratio)
+    check, checked, DEFAULTS, frame_names, ParameterError, PARAMETERS, PATH, steps_in, TEXT,
+    whole_ratio)
 from timo_sim.scene.scene import Scene, scene_from, values_of
 from timo_sim.simulation.loads import load_of_commands
 from timo_sim.simulation.simulator import Simulator
@@ -310,19 +311,22 @@ class _Recorded:
 
 def _with_timeouts(commands, recording, scene, end):
     """Return commands of a bag, ascending, and zeros where one has been in force for too long."""
-    steps, since = math.ceil(recording.own('command_timeout') / scene.step), {}
-    if not steps:
-        return commands
-    result, every = [], max(1, recording.period)
-    for entry in [*commands, (end, None, None, None)]:
-        for group, begun in list(since.items()):
-            over = -(-(begun + steps) // every) * every
+    ratio = recording.scene.step / scene.step
+    every, since, steps, changed, result = max(1, recording.period) * ratio, {}, 0.0, 0, []
+    check_timeout, size = PARAMETERS['command_timeout'].check, recording.scene.step
+    settings = [(int(_round_up(step * ratio)), -1, math.ceil(check_timeout(value) / size) * ratio)
+                for step, value in recording.timeouts if step * ratio < end]
+    for entry in sorted([*commands, *settings, (end, len(COMMANDS))], key=lambda each: each[:2]):
+        for group, begun in list(since.items()) if steps else []:
+            over = int(_round_up(_round_up(max(begun + steps, changed) / every) * every))
             if over < entry[0]:
                 kind = TIMED_OUT[group]
                 zeros = np.zeros(len(COMMANDS[kind].columns))
                 result.append((over, kind, zeros, pack(COMMANDS[kind].type_name, {})))
                 del since[group]
-        if entry[1] is not None:
+        if entry[1] < 0:
+            changed, steps = entry[0], entry[2]
+        elif entry[1] < len(COMMANDS):
             for group in COMMANDS[entry[1]].apply(entry[2], np.zeros(COMMANDED)):
                 since[group] = entry[0]
             result.append(entry)
