@@ -11,7 +11,9 @@ import pytest
 from rcl_interfaces.srv import SetParameters
 from rclpy.parameter import Parameter
 from rclpy.qos import DurabilityPolicy, QoSProfile
+from rclpy.serialization import serialize_message
 from ros_process import replayed
+from rosgraph_msgs.msg import Clock
 from rosbags.typesys import get_typestore, Stores
 from sensor_msgs.msg import JointState
 from std_msgs.msg import Float64, String
@@ -24,7 +26,7 @@ from timo_sim.runs.replay import open_log, replay
 TORQUE, EFFORT = '/timo_sim/motor_torque', '/timo_sim/joint_command'
 STATES, SCENE = '/joint_states', '/timo_sim/scene'
 TOPICS = {TORQUE: Float64, EFFORT: JointState, STATES: JointState, SCENE: String,
-          '/timo_sim/modal_state': JointState}
+          '/timo_sim/modal_state': JointState, '/clock': Clock}
 STORE = get_typestore(Stores.ROS2_JAZZY)
 
 
@@ -111,6 +113,14 @@ def test_a_bag_in_lock_step_is_replayed_to_the_last_bit_with_its_reset_and_setti
     for missed in [each for each in recorder.messages if each[2] == STATES][:40]:
         recorder.messages.remove(missed)
     assert replay(recorder.write(tmp_path / 'late.mcap'), show=lines.append), lines
+
+    # Another simulator, such as a second robot, publishes a clock that runs ahead.
+    clock = Clock()
+    clock.clock.sec, clock.clock.nanosec = 1000, 500000
+    recorder.messages.append((*recorder.messages[-1][:2], '/clock', serialize_message(clock)))
+    lines.clear()
+    assert replay(recorder.write(tmp_path / 'clock.mcap'), show=lines.append), lines
+    assert ' in 1000' not in lines[0]
 
     without = recorder.write(tmp_path / 'without.mcap', [STATES, '/timo_sim/modal_state'])
     with pytest.raises(LogError, match='has no states of /timo_sim, between which its commands'):

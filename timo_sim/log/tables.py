@@ -134,13 +134,14 @@ class Recording:
         # If ros2_control publishes joint_states, the node publishes its own below its name.
         topics = {channel.topic for channel, _ in self._channels()}
         own, usual = f'{self.name}/joint_states', f'{self.name.rpartition("/")[0]}/joint_states'
-        self._names = {own if own in topics else usual: 'joint_states',
-                       **original_names(self.facts)}
+        known = original_names(self.facts)
+        self._names = {own if own in topics else usual: 'joint_states', **known}
         self._wanted, self.unread = {}, {}
         self._read: dict[str, Series] = {}
         for channel, schema in self._channels():
             short = self.short_name(channel.topic)
-            if short in _TYPES:
+            # A /clock that the node does not publish is another node's.
+            if short in _TYPES and (short != '/clock' or not known or channel.topic in known):
                 kind = schema.name if schema else 'unknown, without a schema'
                 if (kind, channel.message_encoding) == (_TYPES[short], 'cdr'):
                     self._wanted[channel.topic] = short
