@@ -167,8 +167,8 @@ class SimNode(ParameterNode):
             'estimated_tip_error_m': f'{error:.3g}',
             'estimated_deflection_error_m': f'{self._simulator.estimated_deflection_error:.3g}',
             **{name: str(count) for name, count in self._health.counters().items()}})
-        if self._log.path:
-            report += f'; log: {self._log.path}'
+        if self._log.trouble or self._log.path:
+            report += f'; {self._log.trouble or f"log: {self._log.path}"}'
         self.get_logger().info(report)
 
     # Called by the executor.
