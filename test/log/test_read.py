@@ -32,7 +32,7 @@ import yaml
 
 import timo_sim
 from timo_sim.log.info import info
-from timo_sim.log.notes import START, SUMMARY
+from timo_sim.log.notes import CHANGE, change_note, RESET, START, SUMMARY
 from timo_sim.log.read import LogError, LogFile, recover
 from timo_sim.log.tables import common, Recording, table
 from timo_sim.log.write import Channel, Recorder
@@ -415,6 +415,18 @@ def test_info_describes_the_run(log):
     assert rows['/left/timo_sim/modal_state'] == ['101', '50', 'Hz']
     assert rows['/left/timo_sim/motor_torque'] == ['0', '-']
     assert max(map(len, text.splitlines())) < 200
+
+
+def test_info_says_how_many_resets_and_changes_it_leaves_out(tmp_path):
+    recorder = Recorder(tmp_path / 'run.mcap', [Channel('/x', 'std_msgs/msg/Float64')],
+                        {START: {'node': '/timo_sim'}})
+    for step in range(23):
+        recorder.note(RESET, {'step': str(step)})
+        recorder.note(CHANGE, change_note(step, {'end_effector.mass': 1.0, 'gravity': 0.0}))
+    recorder.close()
+    text = call('info', tmp_path / 'run.mcap')
+    assert 'resets    23, at steps 0, 1, 2, 3, 4, 5, 6, 7, ...\n' in text
+    assert text.count('end_effector.mass') == 10 and '\n            and 26 more\n' in text
 
 
 def test_info_prints_no_control_characters(tmp_path):

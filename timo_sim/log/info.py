@@ -26,14 +26,16 @@ def info(file: Path | str) -> list[str]:
 def _about_run(log, notes):
     facts, summary, resets, changes = notes
     end = log.summary.statistics.message_end_time
+    steps = ', '.join(map(str, resets[:8])) + ', ...' * (len(resets) > 8)
+    later = [f'at step {step}: {name} = {json.dumps(value)}'
+             for step, _, values in changes for name, value in values.items()]
     for title, lines in {
             'changed': _changed(facts) or ['nothing: the arm of the paper at rest'],
             'made with': [', '.join(f'{name} {facts[name]}' for name in ENVIRONMENT
                                     if name in facts)],
             'sim time': [f'0 to {end / NANOSECONDS:.9g} s'],
-            'resets': [f'{len(resets)}, at steps {str(resets[:8])[1:-1]}' if resets else 'none'],
-            'set later': [f'at step {step}: {name} = {json.dumps(value)}'
-                          for step, _, values in changes for name, value in values.items()][:20],
+            'resets': [f'{len(resets)}, at steps {steps}' if resets else 'none'],
+            'set later': later[:20] + [f'and {len(later) - 20} more'] * (len(later) > 20),
             'counted': [f'{name} {value}' for name, value in summary.items()]
             or ['not known: the node did not write its summary']}.items():
         for line in lines:
