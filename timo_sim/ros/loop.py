@@ -46,7 +46,7 @@ class Loop:
 
     `values` are the node's parameters, `outlets` the publishers of the topics that are sent at
     steps, `logger` is one of rclpy. `diverged` is None, or says why the simulation diverged; it
-    then stays paused until a reset.
+    then cannot go on before a reset.
     """
 
     def __init__(self, simulator: Simulator, values: dict[str, Any], commands: Commands,
