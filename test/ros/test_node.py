@@ -217,6 +217,21 @@ def test_divergence_pauses_with_the_reason_and_too_fast_a_shaft_is_a_warning(sta
     assert 'take model.formulation exact' in fast.end()[1]
 
 
+def test_the_log_has_the_largest_error_of_all_runs_between_resets(start, client):
+    values = {'initial.shaft_velocity': 5.0}
+    node = start(start_paused=True, steps_per_call=500, **values)
+    step, reset = (client.service(Trigger, f'/timo_sim/{name}') for name in ('step', 'reset'))
+    assert step().success and reset().success  # from here on the error is 0 again
+    assert node.end()[0] == 0
+    simulator = timo_sim.EstimatingSimulator(timo_sim.load_scene(values))
+    for _ in range(50):  # the node measures where it publishes, at 100 Hz
+        simulator.advance(10)
+    found = Recording(node.log).summary
+    assert found['estimated_tip_error_m'] == float(f'{simulator.estimated_error:.3g}') > 0.0
+    assert found['estimated_deflection_error_m'] == float(
+        f'{simulator.estimated_deflection_error:.3g}') > 0.0
+
+
 def shown(client, message_type, topic):
     """Subscribe to a topic; return the list of its messages as soon as some have come."""
     messages = client.collect(message_type, topic)

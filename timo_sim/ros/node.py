@@ -12,6 +12,7 @@ import time
 from types import MappingProxyType
 from typing import Any
 
+import numpy as np
 from rclpy.parameter_service import ParameterService
 from rclpy.subscription import Subscription
 from std_srvs.srv import SetBool, Trigger
@@ -59,6 +60,7 @@ class SimNode(ParameterNode):
         sync_steps(values, scene.step)
         self._simulator: Any = (
             EstimatingSimulator if values['estimate_error'] else Simulator)(scene)
+        self._errors: Any = 0.0, 0.0  # the largest before the last reset
         self._simulator.warm_up(tell, messages=True)
         if doubts := find_implausible(scene.values):
             self.get_logger().warning(doubts)
@@ -157,19 +159,24 @@ class SimNode(ParameterNode):
 
     def _close(self):
         wall_time = time.monotonic() - self._opened
-        error = self._simulator.estimated_error
+        tip, deflection = self._largest_errors()
         if self.context.ok():  # else there are no other nodes to ask for
             self._health.warn()
         timing = self._loop.pace.report()
         report = f'simulated {self.steps * self._step:.6g} s in {wall_time:.3f} s; {timing}'
         self._log.complete({
             'timing': timing,
-            'estimated_tip_error_m': f'{error:.3g}',
-            'estimated_deflection_error_m': f'{self._simulator.estimated_deflection_error:.3g}',
+            'estimated_tip_error_m': f'{tip:.3g}',
+            'estimated_deflection_error_m': f'{deflection:.3g}',
             **{name: str(count) for name, count in self._health.counters().items()}})
         if self._log.trouble or self._log.path:
             report += f'; {self._log.trouble or f"log: {self._log.path}"}'
         self.get_logger().info(report)
+
+    def _largest_errors(self):
+        """Return the estimated errors of tip and deflection, also before resets, (2,) [m]."""
+        return np.maximum(self._errors, (  # NaN if one is not known
+            self._simulator.estimated_error, self._simulator.estimated_deflection_error))
 
     # Called by the executor.
 
@@ -217,6 +224,7 @@ class SimNode(ParameterNode):
     def reset(self) -> str:
         """Go back to the initial state; return at which step, as text."""
         with self._lock:
+            self._errors = self._largest_errors()
             self._loop.reset()
             self._log.note(RESET, {'step': str(self.steps)})
             self._tell_scene('reset', self._values)
