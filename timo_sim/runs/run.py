@@ -34,6 +34,8 @@ if TYPE_CHECKING:
 
 
 _MAX_DIFFERENCE = 1e-3  # relative, of integrals by all and by every second sample
+# Parameters of what `Run.dissipated` sums up that may be set while a node runs.
+_LOSSES = 'arm.damping_ratio', 'carrier.viscous_friction', 'motor.viscous_friction'
 _BLOCK = 1024     # samples whose loads are worked out at once
 _CHECKED = 1024  # steps from one check for warnings to the next
 
@@ -122,12 +124,23 @@ class Run(MotionFields, PointsOfArm):
         integrated from sample to sample, with a ModelWarning if they are too far apart for a
         relative error of 1e-3.
         """
-        power, steps = self.model.dissipation(self.values), np.rint(self.t / self.scene.step)
-        if self.model.manipulator.motor_limit:  # at which the back-EMF takes less (T66)
-            speed = self.rotor_velocity
-            power += self.model.manipulator.excess(self.effort[:, 2], speed) * speed
-        taken, coarse = (np.append(0.0, np.cumsum(_integral(self.t[::k], power[::k])))
-                         for k in (1, 2))
+        def power(model):
+            taken, body = model.dissipation(self.values), model.manipulator
+            if body.motor_limit:  # at which the back-EMF takes less (T66)
+                speed = self.rotor_velocity
+                taken += body.excess(self.effort[:, 2], speed) * speed
+            return taken
+
+        steps, scene = np.rint(self.t / self.scene.step), self.scene
+        powers = [(0, power(self.model))]  # from these steps on
+        for step, _, given in self.recording.changes if self.recording else ():
+            if losses := {name: given[name] for name in _LOSSES if name in given}:
+                scene = scene.vary(losses)
+                powers.append((step, power(scene.build())))
+        taken, coarse = (np.append(0.0, np.cumsum(np.select(
+            [steps[::k][:-1] >= step for step, _ in reversed(powers)],
+            [_integral(self.t[::k], each[::k]) for _, each in reversed(powers)])))
+            for k in (1, 2))
         if np.diff(steps).max(initial=1.0) > 1.0 and (
                 np.abs(taken[::2] - coarse).max() > _MAX_DIFFERENCE * taken.max()):
             warn('the dissipated energy is not accurate, because samples are too far apart: take '
