@@ -283,7 +283,21 @@ def test_what_was_set_is_set_again_also_beside_a_reset(presliding, tmp_path):
     assert 'all are the same to the last bit' in text and '1 resets' in text
     assert 'all are the same to the last bit' in call('replay', tmp_path / 'again.mcap')
     assert 'at step 40: end_effector.mass = 0.333' in call('info', log.path)
-    with pytest.raises(timo_sim.ParameterError, match='end_effector.mass was set at 0.12 s'):
+    with pytest.raises(timo_sim.ParameterError, match='end_effector.mass was set at 0.04 s'):
+        timo_sim.read_record(log.path)
+
+
+def test_a_log_whose_scene_was_set_before_its_last_reset_is_no_record(tmp_path):
+    """A reset keeps what was set, so the motion after it is not that of the first scene."""
+    simulator, log, advance, change = driven(tmp_path / 'set.mcap', timo_sim.load_scene({
+        'initial.shaft_velocity': 2.0}))
+    advance(40)
+    change({'carrier.viscous_friction': 5.0})
+    simulator.reset()
+    log.note(RESET, {'step': str(simulator.steps)})
+    advance(40)
+    log.close()
+    with pytest.raises(timo_sim.ParameterError, match='carrier.viscous_friction was set at 0.04'):
         timo_sim.read_record(log.path)
 
 

@@ -46,8 +46,8 @@ def read_log(path: str | Path, scene: Scene | None = None) -> tuple[Scene, Recor
         raise ParameterError(f'scene must be given with {path}, a plain bag, which has none')
     values = {**DEFAULTS, **(recording.parameters if recording.facts else {})}
     segment = segments_of(recording, own, values)[-1]
-    if segment.changes:
-        step, changes = segment.changes[0]
+    if recording.changes:  # also before a reset, which keeps them
+        step, _, changes = recording.changes[0]
         raise ParameterError(f'{", ".join(changes)} was set at {step * own.step:g} s: a record '
                              'must be of one scene')
     outputs = _outputs(segment, recording, own)
