@@ -18,7 +18,10 @@ from timo_sim.log.notes import CHANGE, change_note, RESET
 from timo_sim.log.read import LogError
 from timo_sim.log.tables import Recording
 from timo_sim.log.write import Channel, Recorder
+from timo_sim.model.layout import LOADS, TORQUE
 from timo_sim.scene.parameters import PARAMETERS
+from timo_sim.topics.cdr import pack
+from timo_sim.topics.commands import COMMANDS
 from timo_sim.topics.outputs import outputs
 
 STORE = get_typestore(Stores.ROS2_JAZZY)
@@ -244,7 +247,8 @@ def driven(path, scene):
     """
     Return a simulator that is driven as by the node, and its log.
 
-    And functions of it: advance(steps) logs each step, change(values) notes what is set.
+    And functions of it: advance(steps, torque) logs each step and the command at the first,
+    change(values) notes what is set.
     """
     simulator, log = timo_sim.Simulator(scene), NewLog(
         path, scene, {name: rule.default for name, rule in PARAMETERS.items()}
@@ -252,9 +256,15 @@ def driven(path, scene):
     states = {output.name: output for output in outputs(scene.modal_count)
               if output.name in ('joint_states', '~/modal_state')}
 
-    def advance(count):
+    load = np.zeros(LOADS)
+
+    def advance(count, torque=0.0):
+        if torque != load[TORQUE]:
+            load[TORQUE] = torque
+            log.write([each.name for each in COMMANDS].index('~/motor_torque'), simulator.steps,
+                      simulator.nanoseconds, pack('std_msgs/msg/Float64', {'data': torque}))
         for _ in range(count):
-            simulator.advance(1)
+            simulator.advance(1, load)
             look = simulator.snapshot()
             for name, output in states.items():
                 log.output(name, look, output.numbers(look))
@@ -299,6 +309,18 @@ def test_a_log_whose_scene_was_set_before_its_last_reset_is_no_record(tmp_path):
     log.close()
     with pytest.raises(timo_sim.ParameterError, match='carrier.viscous_friction was set at 0.04'):
         timo_sim.read_record(log.path)
+
+
+def test_a_fit_to_a_log_follows_a_rate_limit_from_the_first_step_on(tmp_path):
+    """In lock step the first command acts at the first step, and ramps up from 0."""
+    _, log, advance, _ = driven(tmp_path / 'ramp.mcap', timo_sim.load_scene({
+        'motor.torque_rate_limit': 2.0, 'motor.viscous_friction': 0.5}))
+    advance(1500, 2.0)
+    advance(500, -1.0)
+    log.close()
+    scene = timo_sim.open_log(log.path).scene.vary({'motor.viscous_friction': 0.4})
+    found = timo_sim.fit(scene, timo_sim.read_record(log.path), ['motor.viscous_friction'])
+    assert found.values['motor.viscous_friction'] == pytest.approx(0.5, abs=1e-6)
 
 
 def test_the_dissipated_energy_follows_friction_and_damping_that_were_set(tmp_path):

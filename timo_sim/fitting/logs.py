@@ -16,9 +16,11 @@ from timo_sim.model.layout import INPUTS
 from timo_sim.runs.replay import segments_of
 from timo_sim.scene.parameters import DEFAULTS, ParameterError
 from timo_sim.scene.scene import Scene
+from timo_sim.simulation.loads import limits_of
 from timo_sim.topics.commands import COMMANDED, COMMANDS
 from timo_sim.topics.outputs import SENSORS
 
+_LATER = 1e-6  # [steps] from a value to the next one of the same step
 _COLUMNS = {each.name: column for column, each in enumerate(INPUTS) if each.argument}
 # The topics and columns that show an output, of which the first that a log has is read.
 _OUTPUTS = {
@@ -62,10 +64,12 @@ def read_log(path: str | Path, scene: Scene | None = None) -> tuple[Scene, Recor
 
 def _inputs(segment, scene, begin):
     commanded = np.zeros(COMMANDED)
-    rows = {begin: commanded.copy()}  # by step; what comes at the same one replaces it
+    rows = {float(begin): commanded.copy()}  # by step; what comes at the same one replaces it
+    # If rates are limited, a command at the first step does not: it ramps up from 0.
+    ramps = np.isfinite(limits_of(scene.values)[1]).any()
     for step, index, values, _ in segment.commands:
         COMMANDS[index].apply(values, commanded)
-        rows[step] = commanded.copy()
+        rows[max(step, begin + _LATER * ramps)] = commanded.copy()
     table = np.array([*rows.values()])
     left = table[:, [k for k in range(COMMANDED) if k not in _COLUMNS.values()]]
     if left.any():
