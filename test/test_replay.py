@@ -336,6 +336,9 @@ def test_the_dissipated_energy_follows_friction_and_damping_that_were_set(tmp_pa
     assert not run.dissipated()[:301].any() and run.dissipated()[-1] > 1.0
     # Measured: 9e-7 J, by modes of up to 470 rad/s at samples 1 ms apart.
     assert np.abs(left).max() < 2e-6
+    assert run.save(tmp_path / 'table.csv').exists()
+    with pytest.raises(ValueError, match='set.mcap: copy this file, since a log made of its mot'):
+        run.save(tmp_path / 'copy.mcap')
 
 
 def test_a_log_of_an_old_version_is_refused_with_the_version_that_reads_it(log):

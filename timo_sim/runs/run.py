@@ -256,7 +256,7 @@ class Run(MotionFields, PointsOfArm):
 
         `*.mcap` is a log, as the node writes it, which `timo_sim.open_log` reads; `*.parquet` or
         `*.csv` is a table. Existing logs are never overwritten; `_1`, `_2`, ... is appended. An
-        existing table is a FileExistsError.
+        existing table is a FileExistsError; a log of a run that was read from one, a ValueError.
         """
         from timo_sim.log.new_log import NewLog
         from timo_sim.log.tables import check_table, write_table
@@ -265,6 +265,9 @@ class Run(MotionFields, PointsOfArm):
             check_table(path, also='.mcap, ')
             write_table(self.columns(), path)
             return path
+        if self.recording:
+            raise ValueError(f'the run was read from {self.recording.path}: copy this file, since '
+                             'a log made of its motion would lack commands, resets and settings')
         values, outputs = {**DEFAULTS, **self.scene.values}, self._outputs()
         with closing(NewLog(path, self.scene, values, saved_by='Run.save')) as log:
             log.summary = {name: str(value) for name, value in self.stats.items()}
