@@ -20,7 +20,6 @@ from timo_sim.simulation.loads import limits_of
 from timo_sim.topics.commands import COMMANDED, COMMANDS
 from timo_sim.topics.outputs import SENSORS
 
-_LATER = 1e-6  # [steps] from a value to the next one of the same step
 _COLUMNS = {each.name: column for column, each in enumerate(INPUTS) if each.argument}
 # The topics and columns that show an output, of which the first that a log has is read.
 _OUTPUTS = {
@@ -69,10 +68,9 @@ def _inputs(segment, scene, begin):
     ramps = np.isfinite(limits_of(scene.values)[1]).any()
     for step, index, values, _ in segment.commands:
         COMMANDS[index].apply(values, commanded)
-        rows[max(step, begin + _LATER * ramps)] = commanded.copy()
+        rows[max(step, begin + 1e-6 * ramps)] = commanded.copy()
     table = np.array([*rows.values()])
-    left = table[:, [k for k in range(COMMANDED) if k not in _COLUMNS.values()]]
-    if left.any():
+    if table[:, [k for k in range(COMMANDED) if k not in _COLUMNS.values()]].any():
         raise ParameterError('forces in the axes of the arm or of the tip cannot be inputs of a '
                              'fit, because they follow a motion that is not measured')
     t = scene.step * np.array([*rows])
@@ -88,13 +86,12 @@ def _outputs(segment, recording, scene):
             series = recording.topics.get(topic)
             if series is None or name in skipped or name in found or not len(series.ns):
                 continue
-            values = series.values[series.resets == series.resets.max(), :]
-            ns = series.ns[series.resets == series.resets.max()]
-            noise = None
+            last, noise = series.resets == series.resets.max(), None
             if recording.scene is not None and topic in _SENSORS:
                 # The standard deviation of the noise and rounding.
                 deviation, step = (recording.scene.values[f'sensor.{_SENSORS[topic]}.{kind}']
                                    for kind in ('noise', 'resolution'))
                 noise = math.hypot(deviation, step / math.sqrt(12.0)) or None
-            found[name] = Channel(1e-9 * ns, values[:, series.columns.index(column)], noise)
+            found[name] = Channel(
+                1e-9 * series.ns[last], series.values[last, series.columns.index(column)], noise)
     return found

@@ -204,8 +204,7 @@ class Record:
 
 
 def _check_count(name, count, is_output, place):
-    fewest = _MIN_SAMPLES if is_output or name == DRIVE else 1
-    if count < fewest:
+    if count < (fewest := _MIN_SAMPLES if is_output or name == DRIVE else 1):
         raise ParameterError(f'{name} must have at least {fewest} finite samples, got {count} '
                              f'({place})')
 

@@ -168,7 +168,7 @@ def choose_resolution(scene: SceneLike, duration: float = 0.0) -> Run:
         steps = min(max(1, round((duration or _HORIZON) / step)), _MAX_STEPS)
         change = {'integrator.step': 0.5 * step}
         try:
-            run = run_scene(scene, steps, enough_samples(steps))
+            run = run_scene(scene, steps)
         except DivergenceError:
             continue
         moved = tip_distances(run.model, run.values, run.model, run.values[:1])
@@ -179,7 +179,7 @@ def choose_resolution(scene: SceneLike, duration: float = 0.0) -> Run:
         errors = run.stats['estimated_tip_error_m'], run.stats['estimated_deflection_error_m']
         ratio = _MARGIN * max(errors) / goal
         if ratio <= 1.0:
-            return run
+            return _thin(run, enough_samples(steps))
         if math.isnan(ratio):
             continue
         remedy = _find_remedy(run, 2, errors, goal / _MARGIN)
