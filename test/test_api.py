@@ -61,6 +61,7 @@ BAD_COMMANDS = [
     ({'torque': np.nan}, 'torque must be a finite number, got nan'),
     ({'force': 1.0}, 'force must be two finite numbers, got 1.0'),
     ({'voltage': 5.0}, 'voltage = 5 V needs motor.dc.resistance > 0'),
+    ({'carrier_acceleration': [0.0, 2.0]}, 'needs a carrier that is held along y'),
     ({'torqe': 1.0}, 'step has torqe, which is none of .*; did you mean torque'),
     ({'duration': 0.0015}, 'duration = 0.0015 must be a whole multiple')
 ]

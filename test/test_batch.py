@@ -208,7 +208,8 @@ def test_bad_commands_and_resets_change_nothing():
             ({'torque': [1.0, 2.0]}, r'torque must be a finite number or 3 finite'),
             ({'force': np.ones((2, 3))}, r'of shape \(3, 2\)'),
             ({'torque': [0.0, np.nan, 0.0]}, 'torque must be'),
-            ({'voltage': [0.0, 5.0, 0.0]}, 'voltage = 5 V needs motor.dc.resistance > 0')):
+            ({'voltage': [0.0, 5.0, 0.0]}, 'voltage = 5 V needs motor.dc.resistance > 0'),
+            ({'carrier_acceleration': [[0.0, 1.0]] * 3}, 'a carrier that is held along y')):
         with pytest.raises(timo_sim.ParameterError, match=text):
             batch.step(**given)
     for given, text in (([[0, 1, 1]], 'mask must be 3 times true or false'),

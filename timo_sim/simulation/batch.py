@@ -216,8 +216,8 @@ class Batch(Stateful):
                  swing_of(model, scene.bristles)) for scene, model in zip(kinds, models))))
         first = np.unique(which, return_index=True)[1]  # lane of each kind
         self._which, self._at_start = which, self._start_of(first, self._initial[first])
-        self._needed = {each.needs: np.array([scene.values[each.needs] for scene in kinds])[which]
-                        for each in INPUTS if each.needs}
+        self._needed = {name: np.array([scene.values[name] for scene in kinds])[which]
+                        for name in ('carrier.held', *(each.needs for each in INPUTS)) if name}
         # Of manipulators whose load at the tip changes.
         self._tips = {k: TipLoad(tip_of(scene)) for k, scene in enumerate(self.scenes)
                       if scene.payloads}
