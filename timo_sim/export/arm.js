@@ -237,7 +237,7 @@ function build() {
   }
   ready = true;
   byId('stations-note').textContent = made.length > 1 ?
-    'One of them differs from the scene at a time. Another mass begins the run anew.' : '';
+    'Only one of them can differ from the scene. Another mass starts the run anew.' : '';
   const limits = byId('limits');
   limits.replaceChildren();
   scene.parameters.forEach(([name, unit, meaning], number) => {
