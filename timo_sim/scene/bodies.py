@@ -167,7 +167,7 @@ def _arm(values):
 # limit: shear stiffness over bending stiffness, rotary inertia over mass, in lengths of the arm.
 _NOT_MEASURED = {'shear_stiffness': 'shear deformation', 'rotary_inertia': 'rotary inertia',
                  'axial_stiffness': 'stretch'}
-_STIFF_IN_SHEAR, _WITHOUT_INERTIA = 1e6, 1e-12
+_STIFF_IN_SHEAR, _WITHOUT_INERTIA = 1e12, 1e-12
 
 
 def _is_measured(values, part):
