@@ -176,6 +176,18 @@ def test_the_command_refuses(tmp_path, monkeypatch):
         assert words in told and 'samples' not in told
 
 
+@pytest.mark.parametrize('option', ['-o=run.csv', '-o=run.mcap', '--png=run.png', '--gif=run.gif'])
+def test_a_place_that_cannot_be_written_is_refused_before_the_run(option, tmp_path, monkeypatch):
+    monkeypatch.chdir(tmp_path)
+    monkeypatch.setattr(os, 'access', lambda path, mode: path != tmp_path)
+    told = call('simulate', 'paper', '--duration=0.01', *option.split('='), code=1)
+    assert 'ermission denied' in told and 'samples' not in told and not os.listdir()
+    name, path = option.replace('=', '=none/').split('=')
+    if path != 'none/run.mcap':  # a log makes its folder
+        told = call('simulate', 'paper', '--duration=0.01', name, path, code=2)
+        assert told == f'timo_sim: {path} cannot be written: its folder does not exist\n'
+
+
 def test_several_values_may_follow_set(tmp_path):
     path = tmp_path / 'run.mcap'
     call('simulate', '--duration=0.01', '--set=model.modes=2', 'arm.length=1.5', '--set',

@@ -124,8 +124,11 @@ def _takes_scene(command: Callable) -> Callable:
     return with_scene
 
 
-def _require(**wanted):
-    """Import packages that are wanted: a missing one should fail before minutes are spent."""
+def _require(*files, **wanted):
+    """Check files that are to be written and import packages: before minutes are spent."""
+    from timo_sim.scene.files import check_folder
+    for file in filter(None, files):
+        check_folder(file)
     for package, needed in wanted.items():
         if needed:
             import_module(package)
@@ -308,7 +311,7 @@ def modes(scene: Scene, more: tuple[float, ...], speed: tuple[float, ...],
     The error is relative, from a model with two more modes.
     """
     from timo_sim.runs.modes import modes
-    _require(matplotlib=png)
+    _require(png, matplotlib=png)
     speeds = *speed, *more
     found = {each: modes(scene, each, contact) for each in speeds or (None, 0.0)}
     names = {None: 'carrier and shaft as in the scene', 0.0: 'clamped arm'}
@@ -420,11 +423,14 @@ def simulate(scene: Scene, duration: float, output: str | None, rate: float | No
     """
     from timo_sim.log.tables import check_table
     from timo_sim.runs.simulate import enough_samples, resolve, simulate
+    from timo_sim.scene.files import check_target
     from timo_sim.scene.parameters import ModelWarning, whole_ratio
     from timo_sim.simulation.warnings import DivergenceError
-    if output and not output.endswith('.mcap'):
+    if output and output.endswith('.mcap'):
+        check_target(Path(output))
+    elif output:
         check_table(Path(output), also='.mcap, ')
-    _require(matplotlib=png or gif, pyarrow=output and output.endswith('.parquet'))
+    _require(png, gif, matplotlib=png or gif, pyarrow=output and output.endswith('.parquet'))
     scene, steps = resolve(scene, duration, click.echo)
     every = whole_ratio('1/integrator.step', 1.0 / scene.step, '--rate', rate) if rate else (
         enough_samples(steps))
@@ -530,7 +536,7 @@ def fit(records: tuple[str, ...], scene: str | None, free: tuple[str, ...],
     from timo_sim.scene.files import check_new, scene_text, whole_file
     from timo_sim.scene.parameters import ModelWarning
     from timo_sim.scene.scene import load_scene
-    _require(matplotlib=png)
+    _require(png, matplotlib=png)
 
     def keep(scene, text):
         if output:
@@ -538,9 +544,6 @@ def fit(records: tuple[str, ...], scene: str | None, free: tuple[str, ...],
                 part.write_text(f'# Best so far of timo_sim fit --auto: {text}\n'
                                 + scene_text(scene.values), encoding='utf-8')
 
-    for path in filter(None, (output, png)):  # before minutes are spent
-        if not Path(path).absolute().parent.is_dir():
-            raise FileNotFoundError(f'{path} cannot be written: its folder does not exist')
     if output:
         check_new(output)
     changes, ends = parse_settings(settings), _parse_bounds(bounds)
@@ -604,7 +607,7 @@ def ringdown(record: str, column: str | None, mapping: str | None, start: float 
     from timo_sim.control.moves import read_move, read_signal, shape_move, write_move
     from timo_sim.control.ringdown import ringdown
     from timo_sim.control.shaping import shaper
-    _require(matplotlib=png)
+    _require(png, matplotlib=png)
     given = read_move(move) if move else None
     found = ringdown(*read_signal(record, column, mapping), start, end)
     click.echo(found.report())
@@ -702,7 +705,7 @@ def view(files: tuple[str, ...], save: str | None, png: str | None, gif: str | N
     if at is not None and not (png or save):
         from timo_sim.scene.parameters import ParameterError
         raise ParameterError('--at is the time of a picture: it needs --png or --save')
-    _require(rerun=in_rerun, matplotlib=gif)
+    _require(gif, save, rerun=in_rerun, matplotlib=gif)
     from timo_sim.log.write import numbered
     from timo_sim.runs.replay import open_log
     from timo_sim.view.track import Track

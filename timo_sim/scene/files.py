@@ -56,13 +56,29 @@ def whole_file(path: Path | str, new: bool = False) -> Iterator[Path]:
 
 
 def check_new(path: Path | str) -> None:
-    """Raise FileExistsError if there is a file at a path, also a pipe, or a folder."""
+    """Raise FileExistsError if there is something at a path, OSError as `check_folder`."""
     if Path(path).exists():
         raise FileExistsError(f'{path} exists: remove it or choose another name')
+    check_folder(path)
+
+
+def check_folder(path: Path | str) -> None:
+    """Raise OSError if there is no folder for a file to be written, or no right to write there."""
+    target = Path(os.path.realpath(path))  # of a symbolic link
+    if target.exists() and not target.is_file():  # such as /dev/null
+        return
+    if not target.parent.is_dir():
+        raise FileNotFoundError(f'{path} cannot be written: its folder does not exist')
+    _check_right(target.parent, path)
+
+
+def _check_right(folder, path):
+    if not os.access(folder, os.W_OK | os.X_OK):
+        raise PermissionError(errno.EACCES, os.strerror(errno.EACCES), str(path))
 
 
 def check_target(path: Path) -> None:
-    """Raise OSError if a file cannot be written: `path` is none, or in what is no folder."""
+    """Raise OSError if a file cannot be written: `path` is none, or its folder cannot be made."""
     if path.is_dir():
         raise IsADirectoryError(errno.EISDIR, os.strerror(errno.EISDIR), str(path))
     if path.exists() and not path.is_file():
@@ -70,6 +86,7 @@ def check_target(path: Path) -> None:
     parent = next(each for each in path.absolute().parents if each.exists())
     if not parent.is_dir():
         raise NotADirectoryError(errno.ENOTDIR, os.strerror(errno.ENOTDIR), str(parent))
+    _check_right(parent, path)
 
 
 def is_of_rclpy(name: str) -> bool:
