@@ -71,6 +71,24 @@ def test_a_faster_vibration_is_not_seen_as_a_slow_one():
     assert np.abs(found.frequency[:, np.newaxis] - [1.0, 26.0]).min(axis=1).max() < 0.01
 
 
+def test_a_sensor_that_saturates_is_told_and_one_of_eight_bits_is_not():
+    """Damping is wrong by half where what is measured is cut at half of its amplitude."""
+    ring = made((4.0,), (0.01,), 0.005)[TIME >= STOP] - 9.8
+    for values, remarks in (np.clip(ring, -0.4, 0.4), 2), (np.rint(60.0 * ring), 0):
+        found = timo_sim.ringdown(TIME[TIME >= STOP], values, STOP, TIME[-1])
+        assert (abs(found.damping[0] - 0.01) > 0.003) == (remarks > 0)
+        assert sum('a sensor that saturates' in each for each in found.remarks) == remarks
+
+
+def test_times_with_seven_digits_and_no_noise_at_all():
+    """What the pencil then takes for noise may grow by more than a number holds."""
+    t = np.arange(1200) * 0.005
+    values = sum(size * np.exp(-rate * t) * np.cos(omega * t + phase) for size, rate, omega, phase
+                 in ((1.0, 0.14, 14.0, 0.3), (0.4, 0.5, 86.0, 1.0)))
+    found = timo_sim.ringdown(t.astype(np.float32), values)
+    assert 2.0 * np.pi * found.frequency == pytest.approx([14.0, 86.0], rel=1e-4)
+
+
 @pytest.mark.parametrize('values, said', [
     (0.1 * np.random.default_rng(5).normal(size=1000), 'no frequency with 3 periods'),
     (np.sin(30.0 * TIME) + 0.01 * np.random.default_rng(5).normal(size=1000), '4.775 Hz goes on'),

@@ -34,6 +34,7 @@ _HEARD, _LOUD = 0.01, 6.0   # least peak in a spectrum, of the largest, and in m
 _SURE = 6.0                 # least amplitude in standard deviations
 _STRAIGHT = 0.5             # misfit of a straight envelope relative to that of an exponential one
 _POOR = 0.5                 # what a fit may leave
+_LEVELS, _CUT = 10, 0.02    # least values of what is cut, and least part of samples at an end
 _NORMAL = 1.96              # standard deviations of an interval of 95 %
 
 
@@ -243,7 +244,8 @@ def _pencil(values, dt):
         slow = np.abs(poles.imag) * dt * len(values) < math.pi
         poles = np.where(slow, poles.real, poles)
         yield poles[(poles.imag >= 0.0) & (poles.imag < 0.99 * math.pi / dt)
-                    & (np.abs(poles) * dt * len(values) > 1.0)]
+                    & (np.abs(poles) * dt * len(values) > 1.0)
+                    & (poles.real * dt * len(values) < 100.0)]  # exp(710) is no number
 
 
 def _basis(t, poles):
@@ -320,7 +322,8 @@ def ringdown(t: ArrayLike, values: ArrayLike, start: float | None = None,
         frequency_error=np.hypot(rate * of_rate, omega * of_omega) / (2.0 * math.pi * size),
         damping_error=omega * np.hypot(omega * of_rate, rate * of_omega) / size**3,
         amplitude=fit.amplitude[places], t=fit.t, measured=fit.values, fitted=fit.fitted,
-        remarks=tuple(_remarks(fit, places, steady, straight)))
+        remarks=tuple(_remarks(
+            fit, places, steady, straight, values[(t >= fit.t[0]) & (t <= fit.t[-1])])))
 
 
 def _window(t, values, given):
@@ -345,8 +348,14 @@ def _window(t, values, given):
     return best[1:]
 
 
-def _remarks(fit, places, steady, straight):
+def _remarks(fit, places, steady, straight, samples):
     """Yield what poles and their errors do not show."""
+    levels, counts = np.unique(samples, return_counts=True)
+    for end, beside in ((0, 1), (-1, -2)) if len(levels) >= _LEVELS else ():
+        if counts[end] > max(_CUT * len(samples), 4.0 * counts[beside]):  # of a sine it is 1.4
+            yield (f'{counts[end] / len(samples):.0%} of the samples are {levels[end]:.4g}, as of '
+                   'a sensor that saturates: damping ratios are then wrong; let the ring-down '
+                   'begin where it no longer does')
     if np.std(fit.residual) > _POOR * np.std(fit.values):
         yield ('less than half of what was measured are these vibrations: look at the picture, '
                'and say where the arm rings')
