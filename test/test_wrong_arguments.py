@@ -14,7 +14,7 @@ from timo_sim.log.read import LogError
 
 WRONG = {'None': None, 'nan': np.nan, 'inf': np.inf, '-1': -1, '0': 0, "''": '', "'x'": 'x',
          '[]': [], '{}': {}, 'complex': 1.0 + 2.0j, '1e300': 1e300, 'object': object(),
-         'huge': 10**400}
+         'huge': 10**400, 'table': np.ones((2, 2))}
 RIGID = {'model.modes': 0, 'carrier.held': 'both', 'initial.shaft': 0.0, 'motor.mass': 1.0,
          'motor.torque_limit': 10.0, 'sensor.encoder.noise': 1e-3, 'integrator.step': 0.001}
 TIME = np.arange(0.0, 1.0, 0.01)
@@ -84,7 +84,7 @@ def calls(folder):
 
     yield timo_sim.Batch, {'scenes': scene, 'n': 2, 'device': 'cpu'}, {'scenes': '{}', 'n': none}
     yield batch.step, {'torque': 1.0, 'force': [0.0, 1.0], 'duration': 0.001}, {
-        'torque': number, **time}
+        'torque': number, 'force': 'table', **time}
     yield batch.advance, {'count': 1, 'commanded': None, 'sample_every': 1}, whole
     yield batch.advance_tips, {'count': 1}, {}
     yield batch.reset, {'mask': [True, False], 'motion': run.values[0]}, {
@@ -99,13 +99,13 @@ def calls(folder):
     yield model.select, {'inputs': ['torque_N_m'], 'outputs': ['shaft_rad']}, {
         'inputs': 'None []', 'outputs': 'None []'}
     yield model.state, {'motion': run.values[0]}, {}
-    yield model.to_motion, {'x': np.zeros(len(model.A))}, {}
+    yield model.to_motion, {'x': np.zeros(len(model.A))}, {'x': 'table'}
     yield model.to_discrete, {'dt': 0.01}, {'dt': '1e300'}
     yield model.frequency_response, {'frequency': [1.0]}, {
-        'frequency': '0 -1 1e300 []'}
+        'frequency': '-1 1e300 [] table'}
     yield timo_sim.modes, {'scene': bent, 'speed': 0.0, 'contact': ''}, {
         'scene': '{}', 'speed': 'None 0 -1', 'contact': "''"}
-    yield timo_sim.modes(bent).shapes, {'xi': [0.5]}, {'xi': '0 []'}
+    yield timo_sim.modes(bent).shapes, {'xi': [0.5]}, {'xi': '0 [] table'}
     yield timo_sim.sensitivities, {
         'scene': scene, 'duration': 0.001, 'output': timo_sim.Batch.rotation,
         'parameters': ['motor.shaft_inertia'], 'samples': 1}, {'scene': '{}'}
@@ -116,7 +116,7 @@ def calls(folder):
     yield shaper.shape, {'command': np.sin}, {}
     yield shaper.shape_samples, {'samples': [0.0, 1.0], 'dt': 0.01}, {'dt': '1e300'}
     yield shaper.residual, {'frequency': 1.0, 'damping': 0.0}, {
-        'frequency': '0 -1 [] 1e300', 'damping': 'None 0 []'}
+        'frequency': '0 -1 [] 1e300 table', 'damping': 'None 0 []'}
     yield timo_sim.ringdown, {
         't': TIME, 'values': np.cos(60.0 * TIME) * np.exp(-TIME), 'start': 0.0, 'end': 1.0}, {
             'start': 'None 0 -1', 'end': 'None 1e300'}
@@ -166,7 +166,8 @@ def calls(folder):
     for env, action in (many, 'actions'), (one, 'action'):
         yield env.reset, {'seed': 1, 'options': {}}, {'seed': 'None 0', 'options': 'None {}'}
         yield env.step, {action: 0.0 * env.action_space.sample()}, {}
-    yield many.reward, {'observations': np.zeros((1, 4)), 'actions': np.zeros((1, 1))}, {}
+    yield many.reward, {'observations': np.zeros((1, 4)), 'actions': np.zeros((1, 1))}, {
+        'observations': 'table', 'actions': 'table'}
 
 
 def public_arguments():

@@ -38,7 +38,8 @@ class Shaper:
         return lambda t: sum(amplitude * np.asarray(command(t - time))
                              for time, amplitude in zip(self.times, self.amplitudes))
 
-    @checked(samples=(lambda samples: len(samples) and NUMBERS[0](samples), 'finite numbers'))
+    @checked(samples=(lambda each: np.ndim(each) == 1 and len(each) and NUMBERS[0](each),
+                      'a list of finite numbers'))
     def shape_samples(self, samples: Sequence[float] | np.ndarray, dt: float) -> np.ndarray:
         """
         Return samples at intervals dt [s], shape (k,), shaped: (k + times[-1] / dt,), rounded up.

@@ -22,7 +22,7 @@ from timo_sim.scene.scene import load_scene, SceneLike
 from timo_sim.version import __version__
 
 
-@checked(folder=PATH, estimate=FLAG, name=TEXT)
+@checked(folder=PATH, target=TEXT, estimate=FLAG, name=TEXT)
 def export_c(scene: SceneLike, folder: Path | str, target: str = 'host', estimate: bool = False,
              name: str = 'arm') -> Path:
     """

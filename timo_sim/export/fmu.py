@@ -20,7 +20,8 @@ from timo_sim.export.c import find_compiler, link, write_c
 from timo_sim.export.constants import Interface, interface_of, Quantity
 from timo_sim.model.layout import with_unit
 from timo_sim.scene.files import check_target, whole_file
-from timo_sim.scene.parameters import checked, FLAG, ParameterError, PATH, short
+from timo_sim.scene.parameters import (
+    checked, FLAG, ParameterError, PATH, short, TEXT, WHOLE)
 from timo_sim.scene.scene import load_scene, SceneLike
 from timo_sim.version import __version__
 
@@ -41,7 +42,7 @@ class _Variable(NamedTuple):
     start: float | None = None
 
 
-@checked(path=PATH, estimate=FLAG)
+@checked(path=PATH, version=WHOLE, estimate=FLAG, target=TEXT)
 def export_fmu(scene: SceneLike, path: Path | str, version: int = 3, estimate: bool = True,
                target: str = 'host') -> Path:
     """

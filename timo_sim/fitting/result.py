@@ -32,7 +32,8 @@ from timo_sim.log.columns import SUFFIXES
 from timo_sim.runs.run import Run
 from timo_sim.scene.files import scene_text, whole_file
 from timo_sim.scene.parameters import (
-    checked, FLAG, FUNCTION, MAPPING, Parameter, ParameterError, PATH, short, TEXTS, warn, WHOLE)
+    checked, FLAG, FUNCTION, MAPPING, Parameter, ParameterError, PATH, short, TEXT, TEXTS,
+    warn, WHOLE)
 from timo_sim.scene.scene import load_scene, Scene, SceneLike
 from timo_sim.simulation.finer import refine
 
@@ -310,8 +311,8 @@ def _are_records(value):
         value if isinstance(value, (list, tuple)) else [value]))
 
 
-@checked(free=TEXTS, bounds=MAPPING, tell=FUNCTION, quick=FLAG, auto=FLAG, keep=FUNCTION,
-         record=(_are_records, 'a Record, a path, or a list of these'),
+@checked(free=TEXTS, bounds=MAPPING, loss=TEXT, tell=FUNCTION, quick=FLAG, auto=FLAG,
+         keep=FUNCTION, record=(_are_records, 'a Record, a path, or a list of these'),
          hold_out_records=(_are_records, 'a list of Records or paths'))
 def fit(scene: SceneLike | None, record: RecordLike | Sequence[RecordLike],
         free: Sequence[str] = (),

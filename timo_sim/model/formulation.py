@@ -667,6 +667,8 @@ class PointsOfArm:
             xi = np.atleast_1d(np.asarray(xi).astype(float, casting='same_kind'))
         except TypeError:
             raise ValueError(f'xi must be numbers, got {xi!r:.60}') from None
+        if xi.ndim > 1:
+            raise ValueError(f'xi must be a number or a list of them, got shape {xi.shape}')
         outside = xi[~((0.0 <= xi) & (xi <= length))]
         if len(outside):
             raise ValueError(f'xi must be between 0 and arm.length = {length} m, got {outside[0]}')

@@ -134,8 +134,12 @@ class LinearModel:
         s = 2j * np.pi * np.ravel(frequency).astype(float)[:, np.newaxis, np.newaxis]
         if self.dt is not None:
             s = np.exp(s * self.dt)  # z on the unit circle
-        return self.C @ np.linalg.solve(s * np.eye(len(self.A)) - self.A,
-                                        self.B[np.newaxis]) + self.D
+        try:
+            states = np.linalg.solve(s * np.eye(len(self.A)) - self.A, self.B[np.newaxis])
+        except np.linalg.LinAlgError:
+            raise ParameterError('frequency must be none of a pole, where responses are infinite, '
+                                 'such as 0 Hz of a free joint') from None
+        return self.C @ states + self.D
 
     def poles(self) -> np.ndarray:
         """
