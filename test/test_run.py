@@ -161,6 +161,7 @@ def test_a_motion_prints_its_parts_with_units(paper):
 
 REFUSED = [
     (['papr'], 'did you mean paper?'),
+    (['.'], 'Is a directory'),
     (['paper', '--set', 'model.mode=2'], 'did you mean model.modes?'),
     (['paper', '--duration', '0.1', '-o', 'run.txt'], 'must end with .mcap, .parquet or .csv'),
     (['paper', '--duration', '0.1', '-o', 'old.csv'], 'old.csv exists')

@@ -406,8 +406,8 @@ def test_what_is_no_scene_is_told_what_one_looks_like(tmp_path, text):
 
 
 def test_a_new_scene_is_an_arm_on_a_bench(tmp_path):
-    path = tmp_path / 'mine.yaml'
-    call('new', path)
+    path = tmp_path / 'my arm.yaml'
+    assert f"timo_sim simulate '{path}'" in call('new', path)
     with warnings.catch_warnings():
         warnings.simplefilter('error')
         scene = timo_sim.load_scene(path)
@@ -419,6 +419,7 @@ def test_a_new_scene_is_an_arm_on_a_bench(tmp_path):
         assert getattr(scene.manipulator, name) != getattr(default, name)
     assert scene.values['carrier.held'] == 'both'
     written = path.read_text()
+    assert "timo_sim simulate 'my arm.yaml'" in written
     assert 'exists' in call('new', path, code=2) and path.read_text() == written
 
 

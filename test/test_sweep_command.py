@@ -165,7 +165,9 @@ BAD_FILES = [
     ({'random': {**RANDOM, 'ranges': {'end_effector.mass': [5.0, 0.5]}}}, 'in ascending order'),
     ({'random': {**RANDOM, 'ranges': {'motor.torque_limit': [1.0, np.inf]}}}, 'finite ends'),
     ({'random': {**RANDOM, 'ranges': {'arm.length': [1.0] * 99}}}, 'a lower and an upper end'),
-    ({'random': {**RANDOM, 'ranges': {'model.modes': [1.5, 3]}}}, 'model.modes must be a whole')
+    ({'random': {**RANDOM, 'ranges': {'model.modes': [1.5, 3]}}}, 'model.modes must be a whole'),
+    # What is drawn between two whole numbers is none.
+    ({'random': {**RANDOM, 'ranges': {'model.modes': [1, 3]}}}, 'model.modes must be a whole')
 ]
 
 

@@ -16,6 +16,7 @@ from importlib import import_module
 import os
 from pathlib import Path
 import re
+import shlex
 import signal
 import sys
 from typing import Any, TYPE_CHECKING
@@ -30,7 +31,8 @@ if TYPE_CHECKING:
     from timo_sim.scene.scene import Scene
 
 # Errors by name, because most of their modules are not imported here.
-_WRONG_INPUT = 'FileExistsError', 'FileNotFoundError', 'LogError', 'ParameterError'
+_WRONG_INPUT = ('FileExistsError', 'FileNotFoundError', 'IsADirectoryError', 'LogError',
+                'ParameterError')
 
 
 def _show_warning(message, category, filename, lineno, file=None, line=None):
@@ -335,8 +337,10 @@ def new(file: str) -> None:
     from timo_sim.scene.files import scene_file, whole_file
     text, name = scene_file('arm').read_text(encoding='utf-8'), click.format_filename(file)
     with whole_file(file, new=True) as part:
-        part.write_text(text.replace('arm.yaml', os.path.basename(name)), encoding='utf-8')
-    click.echo(f'{name} is written; try timo_sim simulate {name} --duration 2 --png run.png')
+        part.write_text(text.replace('arm.yaml', shlex.quote(os.path.basename(name))),
+                        encoding='utf-8')
+    click.echo(f'{name} is written; try timo_sim simulate {shlex.quote(name)} --duration 2 --png '
+               'run.png')
 
 
 @main.command()

@@ -445,8 +445,8 @@ def _random(given):
         if not (finite and np.all(low <= high)):
             raise ParameterError(f'random: {short(name, str)} must have finite ends in ascending '
                                  f'order, got {short(ends)}')
-        for end in ends:
-            _check_values('random', {name: end})
+        for end in low, high:
+            _check_values('random', {name: end.tolist()})
 
     random = np.random.default_rng(seed)
     return [{name: np.asarray(random.uniform(*ends)).tolist() for name, ends in ranges.items()}
