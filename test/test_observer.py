@@ -238,6 +238,23 @@ def test_bad_updates_are_refused_and_change_nothing(measured, command, dt, text)
     assert all(np.array_equal(*pair) for pair in zip(before, after))
 
 
+def test_the_estimate_goes_on_after_a_sample_that_makes_it_diverge():
+    """As a counter of an encoder that jumps; a DivergenceError leaves no part of it behind."""
+    scene = timo_sim.load_scene({}, {**ARM, 'initial.shaft': 0.0})
+    observer, arm = timo_sim.observer(scene), timo_sim.Simulator(scene)
+    for k in range(200):
+        arm.step(torque=np.sin(0.1 * k), duration=0.005)
+        shown = {'encoder': arm.sensors.encoder + 1e4 * (k == 100),
+                 'root_strain': arm.sensors.root_strain}
+        if k == 100:
+            with pytest.raises(timo_sim.DivergenceError, match='what was measured'):
+                observer.update(shown, {'torque': np.sin(0.1 * k)}, 0.005)
+        else:
+            observer.update(shown, {'torque': np.sin(0.1 * k)}, 0.005)
+    off = observer.deflection()[1] - arm.deflection()[1]
+    assert abs(off) < 4.0 * observer.deflection_deviation[1] and observer.consistency < 1.2
+
+
 def test_without_measurements_the_model_goes_on():
     """Also with a torque that is limited, over a long time, and other disturbances."""
     scene = timo_sim.load_scene({}, {**ARM, 'motor.torque_limit': 2.0})

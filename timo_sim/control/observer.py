@@ -244,7 +244,8 @@ class Observer(Stateful, PointsOfArm):
         ParameterError
             If an argument breaks its rule; the estimate is then as before.
         DivergenceError
-            As by `Simulator.step`, or if the estimate is not finite.
+            As by `Simulator.step`, or if what was measured is so far off that the estimate is not
+            finite; it then goes on without that.
 
         """
         shown = {}  # by axis
@@ -255,7 +256,15 @@ class Observer(Stateful, PointsOfArm):
             'dt', _DT.check(dt), 'integrator.step', simulator.scene.step)
         commanded = commanded_load(self._values, **(command or {}))
         with self._lock:
-            simulator._advance_with(partial(self._advance, count, shown), count, commanded)
+            parts = known.root, known.disturbance, known.square
+            before = [each.copy() for each in parts]
+            try:
+                simulator._advance_with(partial(self._advance, count, shown), count, commanded)
+            except DivergenceError as error:
+                for part, each in zip(parts, before):
+                    part[:] = each
+                raise DivergenceError(f'{error}; or leave out what was measured, if it is far '
+                                      'from what was expected') from None
             motion = Motion(known.motion.copy())
         if known.square[0] > _INCONSISTENT**2 and not self.warning:
             self.warning = (
