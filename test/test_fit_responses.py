@@ -77,6 +77,7 @@ RE_IM = {'real': 're', 'imaginary': 'im'}
     ({'outputs': {'shaft': {'reel': 're'}}}, 'reel is not known.*did you mean real'),
     ({'outputs': {'shaft': {**RE_IM, 'scale': 'much'}}}, "scale must be a finite number, got 'mu"),
     ({'outputs': {'shaft': {**RE_IM, 'unit': 'db'}}}, "unit must be one of dB, got 'db'"),
+    ({'outputs': {'shaft': {'magnitude': 'size', 'phase': 'phase'}}}, '>= 0 or .* unit: dB'),
     ({'outputs': {'shaft': 3}}, 'outputs: shaft must have some of magnitude, .*, got 3'),
     ({'frequency': 'g'}, 'g is no column of the table')])
 def test_a_mapping_of_a_response_that_is_wrong_is_refused(tmp_path, change, said):

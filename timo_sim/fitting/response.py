@@ -73,6 +73,9 @@ def response_of(mapping: Mapping[str, Any], table: Any, source: str) -> Response
         elif {'magnitude', 'phase'} <= entry.keys():
             size = numbers(entry['magnitude'])
             size = 10.0**(size / 20.0) if 'unit' in rules else size
+            if (size < 0.0).any():
+                raise ParameterError(f'outputs: {name}: magnitudes must be >= 0 or have unit: dB, '
+                                     f'got {np.nanmin(size):g} ({source})')
             measured = size * np.exp(1j * np.radians(numbers(entry['phase'])))
         else:
             raise ParameterError(f'outputs: {name} must have columns magnitude and phase [deg], '
