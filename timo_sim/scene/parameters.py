@@ -240,8 +240,8 @@ def _load(channel, unit, meaning):
         ('piecewise.time', 's', f'{meaning}: times at which it jumps to a new constant value',
          0.0),
         ('piecewise.value', unit, 'values from these times on', -math.inf),
-        ('table.time', 's', f'{meaning}: times of points, linear in between; a repeated time is '
-         'a jump', 0.0),
+        ('table.time', 's', f'{meaning}: times of points, linear in between, constant before '
+         'and after; a repeated time is a jump', 0.0),
         ('table.value', unit, 'values at these points', -math.inf))
     return [Parameter(f'load.{channel}.{name}', (), of, text, low=low, runtime=True)
             for name, of, text, low in rows]
