@@ -124,6 +124,10 @@ def test_a_driven_shaft_follows_the_samples():
     assert record.outputs['shaft'].values == pytest.approx(angle, abs=1e-12)
     assert record.outputs['tip_transverse'].values[whole] == pytest.approx(
         run.deflection(0.42)[whole, 1], abs=1e-8)
+    for loads in {}, {'load.tip_torque.piecewise': {'time': [1e9], 'value': [1.0]}}:
+        found = timo_sim.fit(timo_sim.load_scene(ARM, loads), record, ['arm.young_modulus'],
+                             quick=True, starts=1)
+        assert ('loads of the scene act beside' in found.report()) == bool(loads)
 
 
 @pytest.mark.parametrize('more', [

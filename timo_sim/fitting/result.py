@@ -233,7 +233,8 @@ class Fit(Prediction):
         lines += ['another set of parameters fits as well: ' + ', '.join(
             f'{name} = {value:.5g}' for name, value in values.items()) for values in self.others]
         lines += [f'{self.starts} starts were tried' if self.starts > 1 else 'one start was tried']
-        if self.scene.load and self.record.inputs:
+        if self.record.inputs and any(
+                value for name, value in self.scene.values.items() if name.startswith('load.')):
             lines += ['the loads of the scene act beside the inputs of the record']
         lines += ['', 'before the search:', *self.look]
         if self.ladder:
