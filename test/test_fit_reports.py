@@ -419,6 +419,7 @@ def test_no_interval_is_printed_where_the_model_lacks_much():
     found = fit(measured, ['motor.viscous_friction', 'motor.shaft_inertia'], hold_out=0.5,
                 quick=True)
     assert found.misfit > 5.0 and 'no interval' in found.report()
+    assert np.isnan([(each.low, each.high) for each in found.estimates.values()]).all()
     assert any('as far off as what was fitted' in each for each in found.warnings)
     each = found.errors['shaft']
     assert found.report().endswith(found.verdict) and found.verdict.startswith(

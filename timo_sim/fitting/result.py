@@ -64,9 +64,10 @@ class Estimate:
     """
     A fitted parameter with its 95 % interval, `low` to `high`; NaN if it is not identified.
 
-    The interval alone is NaN where the fit was stopped before it. A parameter of whose guess the
-    record leaves more than half the width counts as not identified; it is `from_guess` if it has
-    stayed within two of these widths.
+    The interval alone is NaN where the fit was stopped before it, and where `Fit.misfit` is above
+    5, since nothing says how far what the model lacks moves estimates. A parameter of whose guess
+    the record leaves more than half the width counts as not identified; it is `from_guess` if it
+    has stayed within two of these widths.
 
     `deviation` is the standard deviation; of a positive parameter that of its logarithm times its
     value. `start` is the first guess; `bound` is 'low' or 'high' if it is at this bound, else ''.
@@ -212,7 +213,7 @@ class Fit(Prediction):
                  f'{"first guess":>11}']
         for name, each in self.estimates.items():
             interval = ('from your guess' if each.from_guess
-                        else 'not known' if math.isnan(each.low)
+                        else 'not known' if self.posterior is None
                         else 'no interval' if self.misfit > MANY or not each.identified
                         else f'{each.low:.5g} to {each.high:.5g}')
             shown = (f'{"not identified by this record":>38}' if math.isnan(each.value)
@@ -489,6 +490,9 @@ def fit(scene: SceneLike | None, record: RecordLike | Sequence[RecordLike],
         others=search.others, more=more, stopped=search.stopped,
         suspects=[each._replace(effect=None, x=None) for each in likely],
         look=seen, ladder=choice.ladder if choice else [])
+    if result.misfit > MANY:
+        for name, each in result.estimates.items():
+            result.estimates[name] = replace(each, low=math.nan, high=math.nan)
     if phases.doubts:
         warn('; '.join(phases.doubts))
     return result
