@@ -296,8 +296,6 @@ class Fit(Prediction):
         sources = [each.record.source for each in [self, *self.more] if each.until]
         head = ''.join(f'# {line}'.rstrip() + '\n' for line in [
             f'Fitted to {", ".join(sources)} by timo_sim fit.', *self.report().split('\n')])
-        if path.exists():
-            raise ParameterError(f'{path} exists: remove it or choose another name')
         with whole_file(path, new=True) as part:
             part.write_text(head + scene_text(self.scene.values), encoding='utf-8')
         return path
