@@ -222,8 +222,8 @@ def export_c(scene: Scene, output: str, target: str, estimate: bool, name: str) 
         cmake -S paper_in_c -B paper_in_c/build && cmake --build paper_in_c/build
         paper_in_c/build/main
 
-    The folder gets arm.h, arm.o, main.c and CMakeLists.txt. The object file needs no Python and no
-    other library.
+    The folder gets arm.h, arm.o, main.c and CMakeLists.txt; older ones are replaced. The object
+    file needs no Python and no other library.
     """
     from timo_sim.export.c import export_c
     click.echo('compiling, which takes up to half a minute', err=True)
