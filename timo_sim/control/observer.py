@@ -256,7 +256,7 @@ class Observer(Stateful, PointsOfArm):
             'dt', _DT.check(dt), 'integrator.step', simulator.scene.step)
         commanded = commanded_load(self._values, **(command or {}))
         with self._lock:
-            parts = known.root, known.disturbance, known.square
+            parts = known.root, known.disturbance, known.square, simulator._state
             before = [each.copy() for each in parts]
             try:
                 simulator._advance_with(partial(self._advance, count, shown), count, commanded)
@@ -293,7 +293,8 @@ class Observer(Stateful, PointsOfArm):
             following = loads[done:] if done else loads
             reached = self._update(self.model.sector(state, load))(
                 state, simulator.integration.memory, load, following, len(following), readings)
-            if reached < 0 and not steps:
+            if not steps and not (
+                    reached == 0 and abs(state).dot(simulator._travel) <= simulator._most_bent):
                 raise DivergenceError(f'the estimate is not finite at t = {simulator.t:g} s: '
                                       'take a shorter integrator.step')
             done += reached
