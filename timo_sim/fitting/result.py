@@ -114,16 +114,13 @@ class Prediction:
 
     def table(self) -> str:
         """Return the errors as a text."""
-        rows = [f'{"output":<18} {"unit":<6} {"fitted":>9} {"R^2":>7}']
         held_out = self.until < self.record.duration
-        if held_out:
-            rows[0] += f' {"held out":>9} {"R^2":>7}'
+        rows = [f'{"output":<18} {"unit":<6} {"fitted":>9} {"R^2":>7}'
+                + f' {"held out":>9} {"R^2":>7}' * held_out]
         for name, each in self.errors.items():
             unit = '' if isinstance(self.record, Response) else unit_of(name)
-            row = f'{name:<18} {unit:<6} {each.rms:>9.3g} {each.r_squared:>7.4f}'
-            if held_out:
-                row += f' {each.hold_out_rms:>9.3g} {each.hold_out_r_squared:>7.4f}'
-            rows.append(row)
+            rows.append(f'{name:<18} {unit:<6} {each.rms:>9.3g} {each.r_squared:>7.4f}'
+                        + f' {each.hold_out_rms:>9.3g} {each.hold_out_r_squared:>7.4f}' * held_out)
         return '\n'.join(rows)
 
     def plot(self) -> Figure:
@@ -284,8 +281,7 @@ class Fit(Prediction):
         """
         if self.posterior is None:
             raise ParameterError('samples must have intervals, before which the fit was stopped')
-        lost = [name for name, each in self.estimates.items() if math.isnan(each.value)]
-        if lost:
+        if lost := [name for name, each in self.estimates.items() if math.isnan(each.value)]:
             raise ParameterError(f'samples need parameters that are identified: fix {lost[0]}')
         return self.posterior.sample(n, seed, self.scene)
 
@@ -685,16 +681,13 @@ def _find_doubts(estimates, problem, values):
         to_do = [text for kind, text in _TO_AN_INPUT.items() if f'.{kind} = ' in inputs]
         yield (f'the fitted scene does not hold {inputs}: {", ".join(to_do)}, before an input '
                'goes to the scene')
-    at_bound = [name for name, each in estimates.items() if each.bound]
-    if at_bound:
+    if at_bound := [name for name, each in estimates.items() if each.bound]:
         yield f'at a bound, so that intervals do not hold: {", ".join(at_bound)}'
-    far = [free.name for free in problem.free if free.log
-           and not 1.0 / _FAR < values[free.name] / free.start < _FAR]
-    if far:
+    if far := [free.name for free in problem.free if free.log
+               and not 1.0 / _FAR < values[free.name] / free.start < _FAR]:
         yield (f'{", ".join(far)}: more than {_FAR:g} times off the first guess: unless that was '
                'rough, look at unit and scale of the columns')
-    lost = [name for name, each in estimates.items() if math.isnan(each.value)]
-    if lost:
+    if lost := [name for name, each in estimates.items() if math.isnan(each.value)]:
         yield (f'{", ".join(lost)} cannot be identified from this record: hold '
                f'{"some of them" if lost[1:] else "it"} fixed, or record more outputs or another '
                'motion')
