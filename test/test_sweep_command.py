@@ -7,6 +7,7 @@ from contextlib import chdir
 import math
 import os
 from pathlib import Path
+import re
 import signal
 import subprocess
 import sys
@@ -107,7 +108,8 @@ def test_file_in_parquet_out(write, tmp_path):
     warned = [bool(warning) for warning in table['warning']]
     assert warned == 4 * [True, False]
     assert output.startswith('8 runs in ')
-    assert f' s, 4 failed, {sum(warned)} with a warning: study.parquet' in output
+    assert re.search(r' s, 4 failed \(the first: the values of this scene are too large .*\), '
+                     f'{sum(warned)} with a warning: study.parquet', output)
     direct = many(path)
     assert list(table) == list(direct)
     for name, column in table.items():
@@ -115,6 +117,12 @@ def test_file_in_parquet_out(write, tmp_path):
 
     assert refused(path, tmp_path) == (
         'timo_sim: study.parquet exists: remove it or choose another name\n')
+
+
+def test_a_sweep_of_which_every_run_fails_has_an_exit_code(write, tmp_path):
+    path = write(runs=[{'initial.modal_rates': [1e200, 0.0, 0.0]}])
+    code, output, _ = end(start(tmp_path, path, '--workers', '1'))
+    assert code == 1 and '1 failed (the first: the values of this scene' in output
 
 
 def test_the_example_can_be_read_as_it_is_and_with_each_of_its_ways_to_vary(write):

@@ -474,9 +474,12 @@ def sweep(file: str, output: str | None, workers: int | None, scheduler: str | N
 
     \b
         timo_sim sweep config/sweep.yaml
+
+    Exit codes: 0 good; 1 every run fails (the table says why); 2 bad input.
     """
     from timo_sim.runs.sweep import run_sweep
-    run_sweep(file, output, workers, scheduler)
+    if not run_sweep(file, output, workers, scheduler):
+        sys.exit(1)
 
 
 @main.command()

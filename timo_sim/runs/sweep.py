@@ -467,9 +467,11 @@ def _check_values(entry, values):
 
 
 def run_sweep(file: Path | str, output: Path | str | None = None, workers: int | None = None,
-              scheduler: str | None = None) -> None:
+              scheduler: str | None = None) -> bool:
     """
     Do the sweep of a file, see config/sweep.yaml, and write its table, *.parquet or *.csv.
+
+    Return whether any run is good.
 
     `output` is by default named after `file`, in the working directory; `workers` and `scheduler`
     are as for `simulate_many`, with its ConnectionError. Raises ParameterError or OSError as
@@ -484,5 +486,7 @@ def run_sweep(file: Path | str, output: Path | str | None = None, workers: int |
                       quiet=None)  # a bar is for terminals alone
     write_table(table, output)
     failed, warned = (np.count_nonzero(table[name]) for name in ('reason', 'warning'))
-    print(f'{len(plan.variations)} runs in {time.monotonic() - start:.1f} s, {failed} failed, '
-          f'{warned} with a warning: {output}')
+    first = f' (the first: {next(filter(None, table["reason"]))})' if failed else ''
+    print(f'{len(plan.variations)} runs in {time.monotonic() - start:.1f} s, {failed} failed'
+          f'{first}, {warned} with a warning: {output}')
+    return bool(failed < len(plan.variations))
