@@ -83,6 +83,25 @@ def test_what_it_observes_is_what_the_simulator_does():
                 + 0.01 * np.mean(acts[k]**2)), abs=1e-6)
 
 
+def test_directions_are_seen_from_the_axis_of_a_shaft_with_a_hub():
+    environments = ReachVectorEnv(1, {**FREE, 'hub.radius': 0.5})
+    environments.reset(seed=1, options={'goal': 0.4})
+    for _ in range(10):
+        left, speed, bend, _, *_ = environments.step(np.ones((1, 1)))[0][0]
+    motion = environments.batch.motion
+    across, along = (environments.batch.position() - motion.carrier)[0, ::-1]
+    assert left == pytest.approx(0.4 - np.arctan2(across, along), abs=1e-6)
+    assert abs(bend) > 1e-3 and speed > 0.0
+
+
+def test_goals_are_about_the_direction_in_which_an_arm_begins_to_hang():
+    hangs = {**FREE, 'carrier.held': 'both', 'gravity': [0.0, -9.81], 'initial.equilibrium': True}
+    environments = ReachVectorEnv(8, hangs, farthest_goal=0.1)
+    environments.reset(seed=1)
+    assert environments.batch.motion.shaft == pytest.approx(-np.pi / 2, abs=1e-6)
+    assert np.abs(environments.goal + np.pi / 2).max() <= 0.1 + 1e-6
+
+
 def test_variations_may_have_another_step_and_a_free_carrier():
     environments = ReachVectorEnv(2, variations=2 * [
         {'integrator.step': 0.001, 'carrier.held': 'none'}])

@@ -136,7 +136,7 @@ class ReachVectorEnv(Stateful, VectorEnv):
         self._steps = whole_ratio('period', self.period, 'integrator.step', scene.step)
         self._periods = whole_ratio('duration', self._duration, 'period', self.period)
         models = [each.build() for each in scenes]
-        self._length = np.array([each.manipulator.arm.length for each in scenes])
+        self._length = np.array([model.tip_point.lever[0] for model in models])  # from the axis
         self._bend_rate = np.array([model.tip_point.deflection[:, 0] for model in models]
                                    ) / self._length[:, np.newaxis]
         self._moves = fixed_axes(scene.values) != 'both'
@@ -145,7 +145,7 @@ class ReachVectorEnv(Stateful, VectorEnv):
                                             np.float32)
         self.action_space = batch_space(self.single_action_space, num_envs)
         self.observation_space = batch_space(self.single_observation_space, num_envs)
-        self._initial = np.array([each.values['initial.shaft'] for each in scenes])
+        self._initial = np.array(self.batch.motion.shaft)
         self.randoms = [np_random()[0] for _ in range(num_envs)]
         self.goal, self._elapsed = self._initial.copy(), np.zeros(num_envs, dtype=int)
         self._over = np.zeros(num_envs, dtype=bool)
