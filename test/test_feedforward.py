@@ -83,6 +83,15 @@ def test_the_plan_of_a_rigid_arm_is_the_motion_of_least_jerk():
     assert plan.x == pytest.approx(jerk, abs=20.0 * (DT / 2.0)**2)
 
 
+def test_the_shortest_plan_has_fewer_periods_than_states_if_the_limits_allow():
+    """A rigid arm on a free carrier has six; it speeds up for a period and brakes for another."""
+    plant = timo_sim.linearize({'model.modes': 0, 'initial.shaft': 0.0},
+                               inputs=['torque_N_m']).to_discrete(0.1)
+    plan = timo_sim.feedforward(plant, {'shaft_rad': 1.0}, limit=1e6)
+    assert len(plant.A) == 6 and plan.t[-1] == pytest.approx(0.3)
+    assert plan.y[-1, plant.outputs.index('shaft_rad')] == pytest.approx(1.0)
+
+
 def test_the_shortest_plan_of_a_rigid_arm_is_that_of_an_s_curve():
     """
     It reaches the angle d with torques L that change at rates R: (T/2)^2 - (T/2) L/R = J d / L.

@@ -86,8 +86,8 @@ def feedforward(model: LinearModel, goal: Mapping[str, float], duration: float |
                        for each, unit in zip(given, (1.0, model.dt))])
     if duration is None and not np.isfinite(limits).any():
         raise ParameterError('duration must be given if nothing is limited, got None')
-    low = high = len(model.A) if duration is None else whole_ratio(
-        'duration', _DURATION.check(duration), 'dt', model.dt)
+    low, high = (0, len(model.A)) if duration is None else 2 * [whole_ratio(
+        'duration', _DURATION.check(duration), 'dt', model.dt)]
     if low > _LONGEST:
         raise ParameterError(f'duration must be at most {_LONGEST} periods, '
                              f'{_LONGEST * model.dt:g} s, got {duration:g} s')
