@@ -78,6 +78,16 @@ def test_parameters_are_columns_with_the_scenes_value_where_a_run_does_not_set_t
     assert table['model.formulation'].tolist() == ['exact', 'exact', 'newton']
 
 
+def test_columns_have_what_a_material_of_a_run_sets(scene):
+    table = timo_sim.simulate_many(scene, [
+        {'arm.material': 'steel'}, {'arm.young_modulus': 1e11}, {'model.formulation': 'none'}],
+        0.1, workers=1)
+    assert table['arm.young_modulus'].tolist() == [
+        2.1e11, 1e11, scene.values['arm.young_modulus']]
+    assert table['arm.material'].tolist() == ['steel', 'none', 'none']
+    assert table['model.formulation'].tolist() == ['exact', 'exact', None]
+
+
 DIVERGES = {'initial.shaft_velocity': 300.0, 'model.modes': 12}
 FAILURES = [
     (DIVERGES, timo_sim.DivergenceError, 'the state diverges after t = '),

@@ -167,17 +167,16 @@ def run_job(job: Job) -> dict[str, np.ndarray]:
     """Return the columns of a row for each run of a job, by name, see `simulate_many`."""
     numbers = np.full((len(job.variations), len(SUMMARY)), np.nan)
     table = {'run': job.first + np.arange(len(job.variations))}
-    flat = [flatten(variation) for variation in job.variations]
-    for name in job.names:
-        table[name] = _column_of(
-            PARAMETERS[name], [values.get(name, job.scene.values[name]) for values in flat])
-    table.update(zip(SUMMARY, numbers.T))
-    table['warning'], table['reason'] = np.full((2, len(flat)), '', dtype=object)
+    shown: list[Any] = [{**job.scene.values, **flatten(variation)} for variation in job.variations]
+    table.update(dict.fromkeys(job.names), **dict(zip(SUMMARY, numbers.T)))
+    table['warning'], table['reason'] = np.full((2, len(shown)), '', dtype=object)
     groups: dict[Any, list[Any]] = {}  # of (row, Scene, steps), by kind of lane, or alone
     with np.errstate(all='ignore'):
         for row, variation in enumerate(job.variations):
             with _record_reason(table, row):
-                scene, steps = resolve(job.scene.vary(variation), job.duration)
+                scene = job.scene.vary(variation)
+                shown[row] = scene.values  # such as the modulus of a material
+                scene, steps = resolve(scene, job.duration)
                 key = lane_kind(scene, steps) or ('alone', row)
                 groups.setdefault(key, []).append((row, scene, steps))
         for key, runs in groups.items():
@@ -189,6 +188,8 @@ def run_job(job: Job) -> dict[str, np.ndarray]:
                         _fill_rows(table, numbers, key, [run])
         failed = table['reason'] != ''
         numbers[failed], table['warning'][failed] = np.nan, ''
+    table.update((name, _column_of(PARAMETERS[name], [values[name] for values in shown]))
+                 for name in job.names)
     return table
 
 
