@@ -122,6 +122,20 @@ def test_the_viewer_itself_draws_a_log_with_a_bent_arm(tmp_path):
     assert 0.04 < sag / np.hypot(*chord) < 0.2
 
 
+@pytest.mark.parametrize('fps', [3.0, 7.0, 15.0, 19.0, 30.0])
+def test_an_animation_plays_in_real_time(run, tmp_path, fps):
+    """A GIF has times in hundredths of a second: the frames are at such times."""
+    animate([Track(run)], tmp_path / 'run.gif', fps)
+    with Image.open(tmp_path / 'run.gif') as frames:
+        total = 0
+        for number in range(frames.n_frames):
+            frames.seek(number)
+            assert frames.info['duration'] >= 1000.0 / fps
+            total += frames.info['duration']
+    span = 1000.0 * (run.t[-1] - run.t[0])
+    assert span < total <= span + frames.info['duration']
+
+
 def test_an_animation_shows_the_arm_where_it_is(run, tmp_path):
     animate([Track(run)], tmp_path / 'run.gif', 10.0)
     frames = Image.open(tmp_path / 'run.gif')

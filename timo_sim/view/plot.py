@@ -5,6 +5,7 @@
 
 from collections.abc import Mapping, Sequence
 from itertools import cycle
+import math
 from pathlib import Path
 from typing import Any
 
@@ -198,7 +199,7 @@ def animate(tracks: Sequence[Track], path: Path | str, fps: float = _MOST_FPS) -
     its tip so far, the right axes the transverse deflection of the tips, with a line at now.
     Raises ParameterError if `fps` is not above 0 and at most 1e6.
     """
-    fps = min(FPS.check(fps), _MOST_FPS)
+    fps = 100.0 / math.ceil(100.0 / min(FPS.check(fps), _MOST_FPS))  # a GIF counts times by 10 ms
     figure = Figure(figsize=_SIZE, dpi=_DPI, layout='constrained')
     canvas = FigureCanvasAgg(figure)
     plane, curves = np.asarray(figure.subplots(1, 2, width_ratios=[3, 2]))
