@@ -98,6 +98,27 @@ def test_a_rigid_arm_picks_up_a_load_at_rest():
     assert run.energy()[300] - run.energy()[-1] == pytest.approx(lost, rel=1e-9)
 
 
+@pytest.mark.parametrize('values', [
+    {'motor.gear.stiffness': 2000.0, 'motor.rotor.inertia': 0.3, 'arm.damping_of': 'clamped',
+     'initial.modal_rates': [0.4]},
+    {'model.axial_modes': 1, 'integrator.step': 0.0001}], ids=['gear', 'axial mode'])
+def test_an_arm_that_does_not_bend_loses_the_energy_of_its_own_inertia(values):
+    """Also beside coordinates of a gear or of stretch: the arm hits the load as a whole."""
+    scene = timo_sim.load_scene({}, {
+        'carrier.held': 'both', 'model.modes': 0, 'initial.shaft_velocity': 2.0, **PICKED,
+        'end_effector.pick_up': 'at_rest', **values})
+    simulator = Simulator(scene)
+    simulator.step(duration=PICKED['payload.time'][0])
+    before, speed = simulator.snapshot().energy, float(simulator.motion.shaft_velocity)
+    simulator.step()
+    lost, mass = simulator.tip_load.lost, scene.build().mass_matrix(np.zeros(scene.build().size))
+    inertia, added = mass[0][2, 2], 0.1 + 2.0 * 4.0
+    assert lost == pytest.approx(before - simulator.snapshot().energy, rel=1e-6)
+    if not values.get('motor.gear.stiffness'):  # the rotor is not part of the impact
+        assert lost == pytest.approx(
+            0.5 * inertia * speed**2 * added / (inertia + added), rel=1e-4)
+
+
 PLASTIC = {
     'carrier.held': 'both', 'gravity': [0.0, -9.81], 'initial.shaft': -0.6,
     'end_effector.mass': 1.0, 'end_effector.inertia': 0.05, 'end_effector.pick_up': 'at_rest',

@@ -142,7 +142,7 @@ def pick_up(model: Formulation, motion: np.ndarray, mass: float, inertia: float,
     both = _by_tip(body.end_effector_mass, body.end_effector_inertia, body.end_effector_offset,
                    angle)
     rates, after = motion[half:], motion_after[half:]
-    if len(model.modes):
+    if len(model.modes) > model.axial + bool(model.gear):  # it bends
         velocity = tip @ rates
         lost = 0.5 * velocity @ (both - added) @ np.linalg.pinv(both) @ added @ velocity
     else:
