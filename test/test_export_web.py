@@ -217,3 +217,11 @@ def test_a_linker_that_is_missing_is_named(tmp_path, monkeypatch):
     monkeypatch.setenv('PATH', '')
     with pytest.raises(OSError, match='apt-get install lld'):
         export_web({'paper': 'paper'}, tmp_path / 'arm.html')
+
+
+def test_a_rigid_arm_behind_an_elastic_gear_has_a_page():
+    """Clamped, it has no vibration of which a bandwidth could be taken; others say why."""
+    gear = {'motor.gear.stiffness': 2000.0, 'motor.gear.damping': 30.0,
+            'motor.rotor.inertia': 0.1, 'arm.damping_of': 'clamped'}
+    loop = web._loop(timo_sim.load_scene('paper', {'model.modes': 0, **gear}))
+    assert loop['gains'][0] > 0.0 if 'gains' in loop else 'no gains' in loop['why']

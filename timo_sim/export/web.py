@@ -241,7 +241,7 @@ def _loop(scene):
             warnings.simplefilter('ignore')  # of friction, that the model holds for small motions
             model = linearize(scene, rest, 'closed', ['torque_N_m'],
                               ['shaft_rad', 'shaft_velocity_rad_per_s']).to_discrete(scene.step)
-            clamped = modes(scene, 0.0, 'closed').frequency if scene.modal_count else [1.0]
+            clamped = [*modes(scene, 0.0, 'closed').frequency, 1.0]
     except ParameterError as error:
         return {'why': str(error)}
     # Of the straight arm that does not bend, on a carrier that may recoil.
