@@ -106,13 +106,13 @@ def _blocks(count):
 
 def _differences(track, first):
     """Yield panel, times and curves of what differs from the first, where both have samples."""
-    inside = (track.ns >= first.ns[0]) & (track.ns <= first.ns[-1])
-    ns = track.ns[inside]
+    begin, end = max(track.ns[0], first.ns[0]), min(track.ns[-1], first.ns[-1])
+    # At samples of the one that has fewer: a line between these would miss vibrations.
+    ns = min((each.ns[(begin <= each.ns) & (each.ns <= end)] for each in (track, first)), key=len)
     for panel, source in _DIFFERENCES.items() if len(ns) else ():
-        yield panel, ns, {
-            f'{name} less {first.name}': values[inside] - np.interp(
-                ns, first.ns, first.curves[source][name])
-            for name, values in track.curves[source].items()}
+        yield panel, ns, {f'{name} less {first.name}': np.subtract(*(
+            np.interp(ns, each.ns, each.curves[source][name]) for each in (track, first)))
+            for name in track.curves[source]}
 
 
 class _Entities:
