@@ -107,6 +107,10 @@ def test_an_input_acts_as_that_of_the_simulator(values, name, size):
     record = predicted(scene, {name: (T, size * VOLTAGE)}, ['shaft'])
     # The impulse of a step is a difference of sums.
     assert record.outputs['shaft'].values == pytest.approx(shaft, abs=1e-9)
+    # The limits are those of what acts: a record of a third of it, less an offset, is the same.
+    record = predicted(scene, {name: (T, (size * VOLTAGE - 0.1) / 3.0)}, ['shaft'],
+                       {f'{name}.gain': 3.0, f'{name}.bias': 0.1})
+    assert record.outputs['shaft'].values == pytest.approx(shaft, abs=1e-9)
 
 
 def test_a_driven_shaft_follows_the_samples():

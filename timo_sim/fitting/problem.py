@@ -238,16 +238,16 @@ def sensor_of(values: Mapping[str, float], quantity: str) -> list[float]:
 def loads_of(record: Record, scene: Scene, values: Mapping[str, float]) -> Load:
     """Return the Load of a scene and a record's inputs, whose sensors have values by name."""
     terms: dict[str, list[Any]] = {name: [*own] for name, own in scene.load.terms.items()}
-    for name, channel in _limited(record.inputs, scene.values).items():
+    for name, channel in record.inputs.items():
         gain, bias, delay, lag, dead = sensor_of(values, name)
         if name == DRIVE:
             terms[SHAFT_DRIVE] = [Driven(channel, gain, bias, delay)]
             continue
+        acts = gain * (channel.values - np.clip(channel.values, -dead, dead)) + bias
+        channel = _limited(name, channel._replace(values=acts), scene.values)
+        t, shown = channel.t + delay, channel.values
         if name == 'voltage':
-            constant = motor_constants(scene.values)[0]
-            gain, bias, name = constant * gain, constant * bias, 'torque'
-        acts = channel.values - np.clip(channel.values, -dead, dead)
-        t, shown = channel.t + delay, gain * acts + bias
+            shown, name = motor_constants(scene.values)[0] * shown, 'torque'
         if channel.hold == 'zero':  # a table that jumps, also inside a step
             t, shown = np.repeat(t, 2)[1:], np.repeat(shown, 2)[:-1]
         if lag > 0.0:
@@ -269,20 +269,15 @@ def _lagging(t, values, end, step, lag):
     return grid, values[0] + (integral - _with_lag(integral, lag / step)) / lag
 
 
-def _limited(inputs, values):
-    """Return what a scene's actuators make of inputs, channels by name, by its values."""
-    found = dict(inputs)
-    for each in INPUTS:
-        if each.name not in inputs:
-            continue
-        if each.needs and not values[each.needs]:
-            raise ParameterError(f'the record has the input {each.name}, which needs '
-                                 f'{each.needs} > 0, got 0')
-        limit, rate = (values[name] if name else np.inf for name in (each.limit, each.rate_limit))
-        channel = inputs[each.name]
-        channel = channel._replace(values=np.clip(channel.values, -limit, limit))
-        found[each.name] = _ramp(channel, rate) if np.isfinite(rate) else channel
-    return found
+def _limited(name, channel, values):
+    """Return what a scene's actuators make of an input, a channel, by the scene's values."""
+    each, = (each for each in INPUTS if each.name == name)
+    if each.needs and not values[each.needs]:
+        raise ParameterError(f'the record has the input {name}, which needs {each.needs} > 0, '
+                             'got 0')
+    limit, rate = (values[name] if name else np.inf for name in (each.limit, each.rate_limit))
+    channel = channel._replace(values=np.clip(channel.values, -limit, limit))
+    return _ramp(channel, rate) if np.isfinite(rate) else channel
 
 
 def _ramp(channel, rate):

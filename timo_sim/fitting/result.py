@@ -56,7 +56,7 @@ _FOR_EFFECTS = 0.6  # least part of the time of a fit in which effects are tried
 _MAX_NUMERICAL = 0.2  # part of a residual that may be numerical error
 # What makes an input of a record that of a scene, in this order, see `SENSOR`.
 _TO_AN_INPUT = {'dead_zone': 'take off its dead zone', 'gain': 'multiply it by its gain',
-                'bias': 'add its bias', 'delay': 'delay it', 'lag': 'let it lag'}
+                'bias': 'add its bias', 'delay': 'delay it', 'lag': 'let it lag after its limits'}
 
 
 @dataclass(frozen=True)

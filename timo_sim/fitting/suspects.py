@@ -327,7 +327,7 @@ def _effects(objective: Objective, x: np.ndarray) -> Iterator[_Effect]:
                       [[initial_scale(name, problem.scene) for name in MOVING]], both)
     for each in INPUTS:
         if each.name in problem.record.inputs and each.limit and not np.isfinite(own[each.limit]):
-            most = np.abs(problem.record.inputs[each.name].values).max()
+            most = values.get(f'{each.name}.gain', 1.0) * np.abs(channels[each.name].values).max()
             yield _Effect(
                 f'a limit of the {each.name}', [], [[cut] for cut in _EXCESS],
                 change=lambda _, cut, name=each.limit, most=most: {name: most / (1.0 + cut)})
