@@ -171,3 +171,51 @@ def test_the_command_takes_several_records(tmp_path):
         assert timo_sim.load_scene(fitted).values[name] == pytest.approx(value, rel=0.05)
     assert 'one mapping for all or one for each' in call(
         'fit', a, b, '--mapping', mapping, '--mapping', mapping, *options, code=2)
+
+
+RIGID = SCENE.vary({'model.modes': 0})
+
+
+def turned(torque=SQUARE, gain=1.0, seed=1, **changes):
+    """Return times and angles of the rigid arm under a torque, with noise, times a gain."""
+    run = timo_sim.simulate(RIGID.vary({
+        'load.torque.piecewise.time': T, 'load.torque.piecewise.value': torque,
+        **{name.replace('__', '.'): value for name, value in changes.items()}}),
+        DURATION, estimate=False)
+    noise = NOISE['shaft'] * np.random.default_rng(seed).standard_normal(len(T))
+    return T, gain * run.shaft + noise
+
+
+def test_an_output_that_begins_after_the_first_part_of_the_motion_is_fitted_from_there():
+    record = made(SQUARE, 1)
+    late = T > 1.2
+    tip = record.outputs['tip_transverse'].values[late]
+    found = timo_sim.fit(wrong(1.1, 0.9, 1.1, 0.9), timo_sim.Record.of(record.inputs, {
+        'shaft': record.outputs['shaft'], 'tip_transverse': (T[late], tip)}), [*TRUTH], quick=True)
+    assert distances(found).max() < 4.0 and not found.warnings
+
+
+def test_a_known_noise_holds_again_when_the_model_is_right():
+    """With `auto` the arm without its spring is far off; the intervals are those of the end."""
+    t, angle = turned(motor__spring__stiffness=0.05, motor__spring__rest=0.0)
+    record = timo_sim.Record.of({'torque': (T, SQUARE)}, {'shaft': (t, angle, NOISE['shaft'])})
+    found = timo_sim.fit(RIGID.vary({'motor.viscous_friction': 0.06}), record,
+                         ['motor.viscous_friction'], auto=True, quick=True)
+    again = timo_sim.fit(found.scene, record, [*found.estimates], quick=True)
+    assert len(found.estimates) > 1
+    assert [each.deviation for each in found.estimates.values()] == pytest.approx(
+        [each.deviation for each in again.estimates.values()], rel=0.1)
+
+
+def test_an_output_that_does_not_vary_has_no_r_squared():
+    """The mean of equal numbers differs from them by round-off: R^2 was -1e30."""
+    still = np.full(len(T), 0.017)
+    assert np.std(still) > 0.0
+    record = timo_sim.Record.of({'torque': (T, SQUARE)}, {
+        'shaft': turned(), 'carrier_x': (T, still)})
+    scene = RIGID.vary({'motor.viscous_friction': 0.06, 'carrier.held': 'none',
+                        'initial.carrier_x': 0.017})
+    found = timo_sim.fit(scene, record, ['motor.viscous_friction', 'carrier_x.bias'],
+                         hold_out=0.3, quick=True)
+    errors = found.errors['carrier_x']
+    assert np.isnan([errors.r_squared, errors.hold_out_r_squared]).all()

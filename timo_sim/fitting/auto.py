@@ -106,7 +106,7 @@ def _with(suspect, choice):
                   name for name in suspect.effect.free if name not in names])
 
 
-def choose(scene: Scene, free: list[str], objective_of: Callable[[Scene, list[str]], Objective],
+def choose(scene: Scene, free: list[str], objective_of: Callable[..., Objective],
            say: Callable[[str], object], keep: Callable[[Scene, str], object],
            deadline: float, starts: int | None = None) -> Choice:
     """
@@ -120,9 +120,8 @@ def choose(scene: Scene, free: list[str], objective_of: Callable[[Scene, list[st
         return (now := time.monotonic()) + part * (deadline - now)
 
     def search_of(choice):
-        objective = objective_of(choice.scene, choice.free)
-        objective.weigh_as(choice.weighs)
-        return Search(objective, first=choice.values, secants=0)
+        return Search(objective_of(choice.scene, choice.free, choice.weighs),
+                      first=choice.values, secants=0)
 
     def settled(search, part, anew=False):
         x = search.settle(starts, anew, until(part))

@@ -68,10 +68,8 @@ def read_record(path: str | Path,
     if mapping is None:
         raise ParameterError(f'mapping must be given with {path}: it says which columns are which '
                              'quantities, see doc/fit.md; a log of the node needs none')
-    if isinstance(mapping, Mapping):
-        source = str(path)
-    else:
-        mapping, source = read_yaml(mapping), str(mapping)
+    source = str(path if isinstance(mapping, Mapping) else mapping)
+    mapping = mapping if isinstance(mapping, Mapping) else read_yaml(mapping)
     try:
         return _record(path, mapping, source)
     except ParameterError as error:

@@ -14,7 +14,7 @@ from typing import Any
 import numpy as np
 
 from timo_sim.fitting.look import noise_of
-from timo_sim.fitting.problem import alike, Free, Problem, WHITE, whiteness
+from timo_sim.fitting.problem import alike, Free, Problem, spread_of, WHITE, whiteness
 from timo_sim.model.differences import differences
 from timo_sim.scene.parameters import ParameterError
 from timo_sim.simulation.warnings import DivergenceError
@@ -41,10 +41,12 @@ class Objective:
 
     Problems share parameters, but biases and initial states: `places` has for each problem where
     its `free` are in x, `ends` until when its record is fitted [s], `deviations` those of sensors,
-    by output. `start`, `low` and `high` are first values and bounds of x.
+    by output, at first those of `like`, another Objective of the same records, if it is given.
+    `start`, `low` and `high` are first values and bounds of x.
     """
 
-    def __init__(self, problems: Sequence[Problem], loss: str = 'linear') -> None:
+    def __init__(self, problems: Sequence[Problem], loss: str = 'linear',
+                 like: Objective | None = None) -> None:
         self.problems, self.loss = [*problems], loss
         self._change: Callable[..., Mapping[str, Any]] | None = None
         names = [[f'{free.name} (record {k})' if free.is_own and len(problems) > 1 else free.name
@@ -56,17 +58,18 @@ class Objective:
         self.free, order = [*named.values()], [*named]
         self.places = [np.array([order.index(name) for name in own]) for own in names]
         self.deviations = [{
-            name: channel.noise or _FIRST_DEVIATION * float(np.std(
-                channel.values[channel.t <= problem.until])) or 1.0
+            name: channel.noise or _FIRST_DEVIATION * spread_of(
+                channel.values[channel.t <= problem.until]) or 1.0
             for name, channel in problem.record.outputs.items()} for problem in problems]
         # Deviations have a lower bound: without noise they would fall until squares overflow.
-        self._least = [{name: _MIN_DEVIATION * deviation for name, deviation in each.items()}
-                       for each in self.deviations]
+        self._first = [{**each} for each in self.deviations]
         self.start, self.low, self.high = (
             np.array([free.coordinate(getattr(free, kind)) for free in self.free])
             for kind in ('start', 'low', 'high'))
         self.widths = np.array([free.width for free in self.free])
         self._alike = 1.0  # residuals that tell as much as one, since they are correlated
+        if like:
+            self.deviations, self._alike = [{**each} for each in like.deviations], like._alike
         self.ends = [problem.until for problem in problems]
         try:
             for k, problem in enumerate(self.problems):
@@ -74,11 +77,6 @@ class Objective:
         except (DivergenceError, ParameterError) as error:
             raise ParameterError('the record cannot be predicted with the first guess: '
                                  f'{error}') from None
-
-    def weigh_as(self, other: Objective | None) -> None:
-        """Take the deviations of another Objective of the same records, if there is one."""
-        if other:
-            self.deviations, self._alike = [{**each} for each in other.deviations], other._alike
 
     def of_first_parts(self) -> Objective:
         """Return that of a quarter of the time of each record, and of the motion of an output."""
@@ -128,7 +126,8 @@ class Objective:
                 predicted, fails = {}, True
             for name, measured in problem.measurements(end).items():
                 deviation = self.deviations[k][name]
-                far = max(DIVERGED, _FAR_OFF * np.ptp(measured) / deviation)
+                whole = problem.record.outputs[name].values
+                far = max(DIVERGED, _FAR_OFF * np.ptp(whole) / deviation)
                 parts.append((predicted[name] - measured) / deviation if predicted
                              else np.full(len(measured), far))
         guesses = math.sqrt(self._alike) * ((x - self.start) / self.widths)
@@ -194,16 +193,16 @@ class Objective:
                                                else _MAD * float(np.median(np.abs(r))))
             channel = self.problems[k].record.outputs[name]
             wrong = not channel.noise and size > MANY * noise_of(channel)
-            sizes.append((size, float(np.std(measured)) if wrong else 0.0))
+            sizes.append((size, spread_of(measured) if wrong else 0.0))
         parts = [(size / spread)**2 for size, spread in sizes if spread]
         for (k, name, _), (size, spread) in zip(self.series(), sizes):
             deviation = self.deviations[k][name]
             known = self.problems[k].record.outputs[name].noise
             new = max(spread * math.sqrt(np.mean(parts)) if spread else size,
-                      known or self._least[k][name])
-            if not known or new > 1.5 * known:
-                change = max(change, abs(new / deviation - 1.0))
-                self.deviations[k][name] = new
+                      known or _MIN_DEVIATION * self._first[k][name])
+            new = known if known and new <= 1.5 * known else new
+            change = max(change, abs(new / deviation - 1.0))
+            self.deviations[k][name] = new
         return change
 
 

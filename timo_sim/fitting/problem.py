@@ -160,7 +160,7 @@ def _free(name, value, width, bounds, scene, record):
         # What has a bound of 0 begins above it, because a search leaves a bound slowly.
         start = {'lag': 2.0 * record.period, 'dead_zone': _DEAD_ZONE * np.abs(values).max()}.get(
             kind, SENSOR[kind])
-        spread, late = float(np.std(values)) or 1.0, 0.1 * record.duration
+        spread, late = spread_of(values) or 1.0, 0.1 * record.duration
         low, high, scale, log, unit, usual = {
             'gain': (0.0, math.inf, 1.0, True, '', _GIVEN if value else math.log(_FACTOR)),
             'bias': (-math.inf, math.inf, spread, False, unit_of(quantity),
@@ -388,14 +388,17 @@ class Problem:
         if time.monotonic() > self.deadline:
             raise TimeIsUp('its time was up')
         scene = scene or self.scene_of(values)
-        scene = with_load(scene, self._loads_for(scene, values))
-        duration = min(end, self.record.duration) + self._early(values)
         with warnings.catch_warnings():
             warnings.simplefilter('ignore', ModelWarning)
-            # Steps that friction makes short are not all shown: outputs take as long as steps.
-            parts = max(1, round(self.scene.step / scene.step))
-            steps = math.ceil(duration / (parts * scene.step) - _AT_STEP)
-            return run_scene(scene, parts * max(1, steps), parts)
+            return self._run(scene, values, end)
+
+    def _run(self, scene, values, end):
+        scene = with_load(scene, self._loads_for(scene, values))
+        duration = min(end, self.record.duration) + self._early(values)
+        # Steps that friction makes short are not all shown: outputs take as long as steps.
+        parts = max(1, round(self.scene.step / scene.step))
+        steps = math.ceil(duration / (parts * scene.step) - _AT_STEP)
+        return run_scene(scene, parts * max(1, steps), parts)
 
     def _loads_for(self, scene, values):
         """Return `loads_of` values; most of these do not change them."""
@@ -589,7 +592,12 @@ def unidentified_combinations(jacobian: np.ndarray, names: Sequence[str],
     return [parts for parts in found if not parts.keys().isdisjoint(doubtful)]
 
 
+def spread_of(values: np.ndarray) -> float:
+    """Return the standard deviation of values, (n,): 0, without round-off, if all are the same."""
+    return float(np.std(values)) if np.any(values != values[:1]) else 0.0
+
+
 def r_squared(measured: np.ndarray, predicted: np.ndarray) -> float:
     """Return the coefficient of determination R^2; NaN if nothing was measured to vary."""
-    spread = np.sum((measured - measured.mean())**2)
-    return float(1.0 - np.sum((measured - predicted)**2) / spread) if spread else np.nan
+    spread = spread_of(measured)
+    return float(1.0 - np.mean((measured - predicted)**2) / spread**2) if spread else np.nan

@@ -8,18 +8,15 @@ from __future__ import annotations
 from collections.abc import Mapping, Sequence
 from dataclasses import dataclass, field
 import math
-import time
 from typing import Any, cast
-import warnings
 
 import numpy as np
 
-from timo_sim.fitting.problem import Problem, sensor_of, TimeIsUp
+from timo_sim.fitting.problem import Problem, sensor_of
 from timo_sim.fitting.record import Channel, DRIVE, INPUT_UNITS, OUTPUTS, Record, unit_of
 from timo_sim.model.layout import with_unit
 from timo_sim.runs.linear import linearize
-from timo_sim.scene.parameters import (
-    check_keys, ModelWarning, Parameter, ParameterError, short)
+from timo_sim.scene.parameters import check_keys, Parameter, ParameterError, short
 from timo_sim.scene.scene import Scene
 
 _KEYS = 'magnitude', 'phase', 'real', 'imaginary', 'unit', 'scale', 'coherence'
@@ -98,24 +95,18 @@ def response_of(mapping: Mapping[str, Any], table: Any, source: str) -> Response
 
 
 class ResponseProblem(Problem):
-    """A Problem whose record is a Response; its runs are linear models about the first motion."""
+    """A Problem whose record is a Response; its runs are LinearModels about the first motion."""
 
-    def run(self, values: Mapping[str, float], end: float = math.inf,
-            scene: Any = None) -> Any:
-        """Return the LinearModel of input and outputs."""
-        if time.monotonic() > self.deadline:
-            raise TimeIsUp('its time was up')
+    def _run(self, scene, values, end):
         cause, = self.record.inputs
-        with warnings.catch_warnings():
-            warnings.simplefilter('ignore', ModelWarning)
-            return linearize(scene or self.scene_of(values)).select(
-                [with_unit(cause, INPUT_UNITS[cause])],
-                [with_unit(name, unit_of(name)) for name in self.record.outputs])
+        return linearize(scene).select(
+            [with_unit(cause, INPUT_UNITS[cause])],
+            [with_unit(name, unit_of(name)) for name in self.record.outputs])
 
     def predicted(self, values: Mapping[str, float], end: float = math.inf,
                   run: Any = None) -> dict[str, np.ndarray]:
         """Return what outputs should show until `end` [Hz]; raises what `run` raises."""
-        run, record, found = run or self.run(values), cast(Response, self.record), {}
+        run, record, found = run or cast(Any, self.run(values)), cast(Response, self.record), {}
         cause, = record.inputs
         for k, (name, channel) in enumerate(record.outputs.items()):
             t, measured = channel.t[channel.t <= end], channel.values[channel.t <= end]

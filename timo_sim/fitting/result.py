@@ -409,7 +409,7 @@ def fit(scene: SceneLike | None, record: RecordLike | Sequence[RecordLike],
         if tell:
             tell(f'{monotonic() - begun:.1f} s: {text}')
 
-    def objective_of(scene, texts):
+    def objective_of(scene, texts, like=None):
         names = [split_guess(each)[0] for each in texts]
         late = {name: (-measured[0].period, math.inf) for name in names
                 if auto and name.endswith('.delay')}
@@ -418,7 +418,7 @@ def fit(scene: SceneLike | None, record: RecordLike | Sequence[RecordLike],
             problem_of(scene=scene.vary(changes), record=each, names=names_for(each, measured, [
                 *texts, *(text for text in more if split_guess(text)[0] not in names)]),
                     bounds=ends, until=(1.0 - hold_out) * each.duration)
-            for (changes, more, _), each in zip(begins, measured)], loss)
+            for (changes, more, _), each in zip(begins, measured)], loss, like)
 
     objective, end = objective_of(start, free), math.inf if time is None else begun + time
     wrong = turned(objective.problems[0], objective.values(objective.start, 0)) if plainly else []
@@ -447,8 +447,7 @@ def fit(scene: SceneLike | None, record: RecordLike | Sequence[RecordLike],
                             (1.0 - _FOR_EFFECTS) * time, (_RUNS + _RUNS_AFTER) * count * run),
                         starts)
         start, free, starts, first = choice.scene, choice.free, starts or 0, choice.values
-        objective = objective_of(start, free)
-        objective.weigh_as(choice.weighs)
+        objective = objective_of(start, free, choice.weighs)
     others = [_held_out(start, each, free, measured, objective) for each in held]
     search = Search(objective, say, first)
     search.interrupted = choice is not None and choice.interrupted

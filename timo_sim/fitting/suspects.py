@@ -23,7 +23,7 @@ import numpy as np
 from scipy.optimize import least_squares
 
 from timo_sim.fitting.objective import DIVERGED, Objective, times_of_motion
-from timo_sim.fitting.problem import free_parameters, kinds_of, Problem, TimeIsUp
+from timo_sim.fitting.problem import free_parameters, kinds_of, Problem, spread_of, TimeIsUp
 from timo_sim.fitting.record import DRIVE
 from timo_sim.model.layout import INPUTS
 from timo_sim.scene.numbers import INITIAL, initial_scale
@@ -236,7 +236,7 @@ def errors_of(objective: Objective, x: np.ndarray, which: Any = None) -> np.ndar
     rows = objective.residuals(x)
     counts = objective.split(np.ones(len(rows), bool) if which is None else which)
     return np.array([0.5 * np.log(r[own] @ r[own] / max(1, np.sum(own)) * (
-        objective.deviations[k][name] / (np.std(measured) or 1.0))**2 + _FINE**2)
+        objective.deviations[k][name] / (spread_of(measured) or 1.0))**2 + _FINE**2)
         for (k, name, measured), r, own in zip(objective.series(), objective.split(rows), counts)])
 
 
@@ -316,7 +316,7 @@ def _effects(objective: Objective, x: np.ndarray) -> Iterator[_Effect]:
         steps, size = [[count * step] for count in _DELAYS], np.abs(channel.values).max()
         for kind, text, trials, low in (
                 ('delay', 'a delay of', steps, 0.0), ('lag', 'a lag of', steps, 0.0),
-                ('bias', 'an offset of', [[np.std(channel.values) or 1.0]], both),
+                ('bias', 'an offset of', [[spread_of(channel.values) or 1.0]], both),
                 ('dead_zone', 'a dead zone of', [[part * size] for part in _DEAD], 0.0)):
             # One of all is the clock of the others.
             if f'{name}.{kind}' not in values and kind in kinds_of(problem.record, name) and (
