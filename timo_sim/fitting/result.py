@@ -21,7 +21,7 @@ from timo_sim.fitting.logs import read_log
 from timo_sim.fitting.look import begin_with, look, noise_of, turned
 from timo_sim.fitting.mapping import read_record
 from timo_sim.fitting.objective import LOSSES, MANY, Objective
-from timo_sim.fitting.record import Record, unit_of
+from timo_sim.fitting.record import INPUT_UNITS, Record, unit_of
 from timo_sim.fitting.problem import (
     covariance, names_for, NORMAL, r_squared, split_guess, unidentified_combinations, whiteness)
 from timo_sim.fitting.posterior import Posterior, Samples
@@ -31,6 +31,7 @@ from timo_sim.fitting.suspects import name_suspects, Suspect, suspects
 from timo_sim.log.columns import SUFFIXES
 from timo_sim.runs.run import Run
 from timo_sim.scene.files import scene_text, whole_file
+from timo_sim.scene.numbers import INITIAL
 from timo_sim.scene.parameters import (
     checked, FLAG, FUNCTION, MAPPING, Parameter, ParameterError, PATH, short, TEXT, TEXTS,
     warn, WHOLE)
@@ -124,10 +125,16 @@ class Prediction:
         return '\n'.join(rows)
 
     def plot(self) -> Figure:
-        """Draw measured and predicted outputs, and their difference; needs matplotlib."""
+        """
+        Draw measured and predicted outputs, and their difference; needs matplotlib.
+
+        A Fit draws all its records, side by side.
+        """
+        every = [self, *getattr(self, 'more', [])]
+        in_time = [each for each in every if not isinstance(each.record, Response)]
         with optional():
-            from timo_sim.view.fit import draw_fit
-        return draw_fit([self], unit_of)
+            from timo_sim.view.fit import draw_fit, draw_responses
+        return draw_fit(in_time, unit_of) if in_time else draw_responses(every)
 
 
 @dataclass(frozen=True, repr=False)
@@ -193,14 +200,6 @@ class Fit(Prediction):
         found = ', '.join(f'{name} = {value:.4g}' for name, value in self.values.items())
         best = 'best so far: ' if self.stopped else ''
         return f'<Fit of {self.record.source}: {best}{found or "nothing is identified"}>'
-
-    def plot(self) -> Figure:
-        """Draw `Prediction.plot` of all records, side by side."""
-        every = [self, *self.more]
-        in_time = [each for each in every if not isinstance(each.record, Response)]
-        with optional():
-            from timo_sim.view.fit import draw_fit, draw_responses
-        return draw_fit(in_time, unit_of) if in_time else draw_responses(every)
 
     def report(self) -> str:
         """Return estimates, errors and doubts as a text."""
@@ -398,6 +397,7 @@ def fit(scene: SceneLike | None, record: RecordLike | Sequence[RecordLike],
     time = None if time is None else _TIME.check(time)
     start, measured, held = read_scene_and_records(scene, record, mapping, hold_out_records)
     start = start.with_fixed_shapes()
+    given = {name: value for name, value in start.values.items() if name.startswith(INITIAL)}
     if plainly := auto and not free:
         start, free = plain(start, measured[0])
     if not any(split_guess(each)[0] for each in free):
@@ -448,7 +448,7 @@ def fit(scene: SceneLike | None, record: RecordLike | Sequence[RecordLike],
                         starts)
         start, free, starts, first = choice.scene, choice.free, starts or 0, choice.values
         objective = objective_of(start, free, choice.weighs)
-    others = [_held_out(start, each, free, measured, objective) for each in held]
+    others = [_held_out(given, start, each, free) for each in held]
     search = Search(objective, say, first)
     search.interrupted = choice is not None and choice.interrupted
     if time:
@@ -457,13 +457,14 @@ def fit(scene: SceneLike | None, record: RecordLike | Sequence[RecordLike],
     phases = _Phases(search, say, end)
     known = _find_intervals(search, phases, quick)
     seconds = monotonic() - begun
-    phases.doubts += _find_doubts(
-        known.estimates, objective.problems[0], objective.values(search.x, 0))
-    say('one run of each record, and one with more modes and half the step')
     shared = {free.name: free.value(at) for free, at in zip(objective.free, search.x)}
+    phases.doubts += _find_doubts(
+        known.estimates, objective, shared, objective.values(search.x, 0))
+    say('one run of each record, and one with more modes and half the step')
     every = [(problem, objective.values(search.x, k)) for k, problem in enumerate(
-        objective.problems)] + [(problem, {each.name: shared[each.name] for each in problem.free})
-                                for problem in others]
+        objective.problems)] + [(problem, _values_of_other(problem, given, measured, {
+            each.name: shared[each.name] for each in objective.free if not each.is_own}))
+            for problem in others]
     predictions = [_predict(problem, values, phases, f' (record {k})' * (len(every) > 1))
                    for k, (problem, values) in enumerate(every, 1)]
     likely = []
@@ -491,14 +492,27 @@ def fit(scene: SceneLike | None, record: RecordLike | Sequence[RecordLike],
     return result
 
 
-def _held_out(start, record, free, measured, objective):
-    """Return the Problem of a record that is predicted, without parameters of its own."""
-    start = start.vary(begin_with(start, record, [])[0])
-    if 'shaft' in record.outputs and {'initial', 'initial.shaft'} & {
-            split_guess(each)[0] for each in free}:
-        start = start.vary({'initial.shaft': float(record.outputs['shaft'].values[0])})
-    common = [each.name for each in objective.free if not each.is_own]
-    return problem_of(start, record, names_for(record, measured, common), {}, 0.0)
+def _held_out(given, start, record, free):
+    """Return the Problem of a record that is predicted, which begins as it does or as `given`."""
+    start, shown = start.vary(given), {name: each for name, each in record.outputs.items()
+                                       if _shows_start(each)}
+    begin = begin_with(start, replace(record, outputs=shown), [])[0]
+    if 'shaft' in shown and {INITIAL, 'initial.shaft'} & {split_guess(each)[0] for each in free}:
+        begin['initial.shaft'] = float(shown['shaft'].values[0])
+    return problem_of(start.vary(begin), record, [], {}, 0.0)
+
+
+def _shows_start(channel):
+    """Return whether a channel of a Record begins with it; one of a Response does not."""
+    return channel.t[0] < 1.5 * (channel.t[1] - channel.t[0])
+
+
+def _values_of_other(problem, given, measured, common):
+    """Return the values of a Problem of `_held_out`, of those that are common to all records."""
+    values = {name: common[name] for name in names_for(problem.record, measured, [*common])}
+    return values | {  # what was measured at its beginning has the gain of the sensor
+        name: begin / values.get(f'{name[len(INITIAL) + 1:].removesuffix("_velocity")}.gain', 1.0)
+        for name, value in given.items() if (begin := problem.scene.values[name]) != value}
 
 
 class _Found(NamedTuple):
@@ -538,14 +552,14 @@ def _find_intervals(search, phases, quick):
         known = identified[k] or math.isfinite(free.width)
         value, half = (free.value(at), NORMAL * deviation) if known else (math.nan, math.nan)
         low, high = map(free.value, profiles.get(k, (at - half, at + half)))
-        edges = {'low': free.coordinate(free.low), 'high': free.coordinate(free.high)}
         estimates[free.name] = Estimate(
             value=value, low=low, high=high, start=free.start, unit=free.unit,
             deviation=half / NORMAL * (value if free.log else free.scale),
             identified=identified[k], profile=k in profiles,
             from_guess=known and not identified[k] and bool(
-                abs(at - free.coordinate(free.start)) < NORMAL * free.width), bound=next(
-                (name for name, edge in edges.items() if abs(at - edge) < _AT_BOUND), ''))
+                abs(at - objective.start[k]) < NORMAL * free.width), bound=next((
+                    name for name in ('low', 'high')
+                    if abs(at - getattr(objective, name)[k]) < _AT_BOUND), ''))
     lost = {name for name, each in estimates.items() if not each.identified}
     return _Found(
         estimates, np.clip(spread / np.outer(sigma, sigma), -1.0, 1.0),  # but for round-off
@@ -641,8 +655,7 @@ def _predict(problem, values, phases, place):
         'the numerical error is', lambda: run_all(lambda scene: refine(
             scene, 2, None, 0, same_equations=True)), (None, {}))
     for name, channel in problem.record.outputs.items():
-        parts, own = [], np.full(len(channel.t), math.nan)
-        own = predicted[name] - channel.values if predicted else own
+        parts, own = [], predicted.get(name, math.nan) - channel.values
         for part in (channel.t <= problem.until, channel.t > problem.until):
             measured = channel.values[part]
             parts += [float(np.sqrt(np.mean(own[part]**2))), r_squared(
@@ -672,26 +685,27 @@ def _predict(problem, values, phases, place):
     return Prediction(problem.record, errors, run, predicted, problem.until)
 
 
-def _find_doubts(estimates, problem, values):
+def _find_doubts(estimates, objective, found, values):
     inputs = ', '.join(f'{name} = {value:.5g}' + (
-        ' (not identified)' if name in estimates and not estimates[name].identified else '')
-        for name, value in values.items() if name.rpartition('.')[0] in problem.record.inputs)
+        ' (not identified)' if not estimates[name].identified else '')
+        for name, value in found.items() if name.rpartition('.')[0] in INPUT_UNITS)
     if inputs:
-        to_do = [text for kind, text in _TO_AN_INPUT.items() if f'.{kind} = ' in inputs]
+        to_do = [text for kind, text in _TO_AN_INPUT.items() if f'.{kind} ' in inputs]
         yield (f'the fitted scene does not hold {inputs}: {", ".join(to_do)}, before an input '
                'goes to the scene')
     if at_bound := [name for name, each in estimates.items() if each.bound]:
         yield f'at a bound, so that intervals do not hold: {", ".join(at_bound)}'
-    if far := [free.name for free in problem.free if free.log
-               and not 1.0 / _FAR < values[free.name] / free.start < _FAR]:
+    if far := [free.name for free in objective.free if free.log
+               and not 1.0 / _FAR < found[free.name] / free.start < _FAR]:
         yield (f'{", ".join(far)}: more than {_FAR:g} times off the first guess: unless that was '
                'rough, look at unit and scale of the columns')
     if lost := [name for name, each in estimates.items() if math.isnan(each.value)]:
         yield (f'{", ".join(lost)} cannot be identified from this record: hold '
                f'{"some of them" if lost[1:] else "it"} fixed, or record more outputs or another '
                'motion')
+    problem = objective.problems[0]
     shaft = problem.record.outputs.get('shaft')
-    if shaft and 'initial.shaft' in values:
+    if shaft and _shows_start(shaft) and 'initial.shaft' in values:
         begins = values.get('shaft.gain', 1.0) * values['initial.shaft'] + values.get(
             'shaft.bias', 0.0)
         if abs(begins - shaft.values[0]) > _FAR_START * np.ptp(shaft.values):
