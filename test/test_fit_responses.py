@@ -84,3 +84,18 @@ def test_a_mapping_of_a_response_that_is_wrong_is_refused(tmp_path, change, said
     written(tmp_path / 'r.csv', np.arange(1.0, 21.0), np.ones(20), np.ones(20))
     with pytest.raises(timo_sim.ParameterError, match=said):
         timo_sim.read_record(tmp_path / 'r.csv', {**MAPPING, **change})
+
+
+def test_a_response_has_no_time_to_be_cut_and_errors_without_the_unit_of_its_output(tmp_path):
+    """Its errors are of logarithms and phases; cut, it was fitted as angles in time."""
+    frequency = np.geomspace(0.5, 8.0, 40)
+    shaft = timo_sim.linearize(SCENE).select(['torque_N_m'], ['shaft_rad']).frequency_response(
+        frequency)[:, 0, 0]
+    path = written(tmp_path / 'r.csv', frequency, shaft, shaft)
+    measured = timo_sim.read_record(path, {**MAPPING, 'outputs': {
+        'shaft': MAPPING['outputs']['shaft']}})
+    with pytest.raises(timo_sim.ParameterError, match='cannot be cut: leave out rows'):
+        measured.cut(0.0, 4.0)
+    fit = timo_sim.fit(SCENE, measured, ['arm.young_modulus'], hold_out=0.5, quick=True)
+    assert fit.verdict.startswith('predicts what was held out with rms errors of 0.')
+    assert ' of shaft (' in fit.verdict and ' rad' not in fit.verdict

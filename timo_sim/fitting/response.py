@@ -42,6 +42,10 @@ class Response(Record):
         """A tenth of the time that matters at the highest frequency [s]."""
         return 0.01 / self.duration
 
+    def cut(self, start: float = 0.0, end: float = math.inf) -> Record:
+        """Refuse: the part would be a Record in time."""
+        raise ParameterError('a frequency response cannot be cut: leave out rows of its table')
+
     def response(self, name: str, values: np.ndarray) -> np.ndarray:
         """Return the complex response of an output, (n,), from its values, (2 n,)."""
         log = values.reshape(-1, 2) / self.weights[name][:len(values) // 2, np.newaxis]

@@ -125,11 +125,7 @@ class Prediction:
         return '\n'.join(rows)
 
     def plot(self) -> Figure:
-        """
-        Draw measured and predicted outputs, and their difference; needs matplotlib.
-
-        A Fit draws all its records, side by side.
-        """
+        """Draw outputs, measured and predicted, of all records of a Fit; needs matplotlib."""
         every = [self, *getattr(self, 'more', [])]
         in_time = [each for each in every if not isinstance(each.record, Response)]
         with optional():
@@ -254,9 +250,10 @@ class Fit(Prediction):
     @property
     def verdict(self) -> str:
         """How well the fit predicts what was held out, in a sentence."""
-        parts = [f'{each.hold_out_rms:.2g}{f" {unit_of(name)}".rstrip()} of {name} '
+        parts = [f'{each.hold_out_rms:.2g}{f" {unit}".rstrip()} of {name} '
                  f'({100.0 * share:.2g} % of its range)'
                  for part in (self, *self.more) for name, each in part.errors.items()
+                 for unit in ['' if isinstance(part.record, Response) else unit_of(name)]
                  if math.isfinite(share := each.hold_out_rms / (
                      np.ptp(part.record.outputs[name].values) or math.nan))]
         return ('predicts what was held out with rms errors of ' + ', '.join(parts) if parts else
@@ -478,8 +475,7 @@ def fit(scene: SceneLike | None, record: RecordLike | Sequence[RecordLike],
         phases.doubts[bool(search.stopped):bool(search.stopped)] = name_suspects(likely)
     first, *more = predictions
     result = Fit(
-        record=first.record, errors=first.errors, run=first.run, predicted=first.predicted,
-        until=first.until, scene=objective.problems[0].scene_of(objective.values(search.x, 0)),
+        **vars(first), scene=objective.problems[0].scene_of(objective.values(search.x, 0)),
         **known._asdict(), warnings=phases.doubts, seconds=seconds, starts=search.tried,
         others=search.others, more=more, stopped=search.stopped,
         suspects=[each._replace(effect=None, x=None) for each in likely],
