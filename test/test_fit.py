@@ -134,6 +134,16 @@ def test_a_driven_shaft_follows_the_samples():
         assert ('loads of the scene act beside' in found.report()) == bool(loads)
 
 
+def test_a_driven_shaft_stands_before_its_record_where_its_smooth_angle_begins():
+    """Not at the first sample, which has an error that the knots take out."""
+    angle = 0.3 + 0.05 * T**2
+    angle[0] += 0.05
+    shaft = predicted(ARM, {'drive': Channel(T, angle, knots=0.5)}, ['shaft'],
+                      {'drive.delay': 0.1}).outputs['shaft'].values
+    assert shaft[:50] == pytest.approx(0.3, abs=0.01)
+    assert abs(np.diff(shaft)).max() < 1e-3
+
+
 @pytest.mark.parametrize('more', [
     {'carrier.held': 'none', 'carrier.mass': 5.0, 'motor.mass': 5.0}, {'gravity': [0.0, -9.81]},
     {'motor.shaft': 'locked'},

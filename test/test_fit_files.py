@@ -48,6 +48,17 @@ def written(folder, kind):
     return path
 
 
+def test_a_column_of_times_replaces_a_common_period(tmp_path):
+    """And a period a common column; the shaft was read with the period of the torque."""
+    path, hub = written(tmp_path, 'csv'), {'quantity': 'shaft', 'unit': 'deg'}
+    for common, own in ({'period': 0.005}, {'column': 'clock', 'unit': 'ms'}), (
+            {'column': 'clock', 'unit': 'ms'}, {'period': 0.005}):
+        record = timo_sim.read_record(path, {'time': common, 'columns': {
+            'u': 'torque', 'hub': {**hub, 'time': own}}})
+        ends = [record.inputs['torque'].t[-1], record.outputs['shaft'].t[-1]]
+        assert ends == pytest.approx([0.995, 1.99] if 'period' in common else [1.99, 0.995])
+
+
 @pytest.mark.parametrize('kind', ['csv', 'tsv', 'txt', 'parquet', 'mat'])
 def test_tables_are_read_in_their_units(tmp_path, kind):
     record = timo_sim.read_record(written(tmp_path, kind), MAPPING)

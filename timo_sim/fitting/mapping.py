@@ -104,7 +104,8 @@ def _record(path, mapping, source):
         factor = _factor(f'columns: {column}', entry.get('unit'), unit_of(name))
         factor *= _entry(entry, 'scale', 1.0)
         own = _time_of(entry, f'columns: {column}: time')
-        t = _times({**time, **own}, file, table, len(values), begun)
+        common = {key: time[key] for key in time if key != 'period' or 'column' not in own}
+        t = _times({**common, **own}, file, table, len(values), begun)
         with np.errstate(over='ignore'):  # what is not finite is left out
             values = factor * values + _entry(entry, 'offset', 0.0)
         noise = abs(factor) * _entry(entry, 'noise', None) if 'noise' in entry else None

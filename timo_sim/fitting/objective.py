@@ -124,10 +124,9 @@ class Objective:
                 predicted = problem.predicted(self.values(x, k), end)
             except (DivergenceError, ParameterError):
                 predicted, fails = {}, True
-            for name, measured in problem.measurements(end).items():
-                deviation = self.deviations[k][name]
-                whole = problem.record.outputs[name].values
-                far = max(DIVERGED, _FAR_OFF * np.ptp(whole) / deviation)
+            for name, channel in problem.record.outputs.items():
+                measured, deviation = channel.values[channel.t <= end], self.deviations[k][name]
+                far = max(DIVERGED, _FAR_OFF * np.ptp(channel.values) / deviation)
                 parts.append((predicted[name] - measured) / deviation if predicted
                              else np.full(len(measured), far))
         guesses = math.sqrt(self._alike) * ((x - self.start) / self.widths)

@@ -216,7 +216,7 @@ class Driven:
         self._rows = np.zeros((len(t) + 1, 1 + width))
         self._rows[:, 0] = np.append(t[0] - 1.0, t) + late
         self._rows[1:-1, 1:] = gain * spline.c[::-1].T
-        self._rows[[0, -1], 1] = gain * channel.values[0], gain * float(spline(t[-1]))
+        self._rows[[0, -1], 1] = gain * spline(t[[0, -1]])
         self._rows[:, 1] += bias
 
     def rows(self, step: float) -> np.ndarray:
