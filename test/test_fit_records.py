@@ -11,6 +11,7 @@ import pytest
 import yaml
 
 import timo_sim
+from timo_sim.fitting import auto
 
 PERIOD, DURATION = 0.004, 2.0
 T = PERIOD * np.arange(round(DURATION / PERIOD) + 1)
@@ -279,3 +280,16 @@ def test_an_output_that_does_not_vary_has_no_r_squared():
                          hold_out=0.3, quick=True)
     errors = found.errors['carrier_x']
     assert np.isnan([errors.r_squared, errors.hold_out_r_squared]).all()
+
+
+@pytest.mark.parametrize('error', [
+    np.linalg.LinAlgError('SVD did not converge'), FloatingPointError('0/0')])
+def test_effects_that_cannot_be_tried_do_not_cost_the_fit(monkeypatch, error):
+    def fails(*_):
+        raise error
+    monkeypatch.setattr(auto, 'suspects', fails)
+    record = timo_sim.Record.of({'torque': (T, SQUARE)}, {'shaft': turned()})
+    found = timo_sim.fit(RIGID.vary({'motor.viscous_friction': 0.06}), record,
+                         ['motor.viscous_friction'], auto=True, quick=True)
+    assert found.estimates['motor.viscous_friction'].value == pytest.approx(0.05, rel=0.01)
+    assert found.ladder[-1] == f'no more effects were tried: {error}'

@@ -21,7 +21,7 @@ from timo_sim.fitting.suspects import (
     BETTER, errors_of, MOVING, predict, SPRING, Suspect, suspects, TILTED)
 from timo_sim.scene.bodies import motor_constants
 from timo_sim.scene.numbers import overrides_of
-from timo_sim.scene.parameters import ParameterError, StepError
+from timo_sim.scene.parameters import StepError
 from timo_sim.scene.scene import Scene
 
 _SUSPECTS = 6  # that are tried at a time
@@ -187,7 +187,7 @@ def choose(scene: Scene, free: list[str], objective_of: Callable[..., Objective]
             sure = hope if in_all < most - _GAIN else sure._replace(
                 ladder=[*sure.ladder, f'    {name}: not better in all'])
         sure = sure._replace(interrupted=not isinstance(stop, TimeIsUp))
-    except (ArithmeticError, ParameterError) as error:
+    except (ArithmeticError, ValueError) as error:  # of parameters, or of linear algebra
         reason = str(error)
     say(line := f'no {"more effects were" if sure.ladder else "effect was"} tried: {reason}')
     return sure._replace(ladder=[*sure.ladder, line])
