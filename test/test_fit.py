@@ -648,6 +648,7 @@ BAD_ARGUMENTS = [
     (dict(free=['model.modes']), 'model.modes cannot be free: it is no number of the physics'),
     (dict(free=['gravity[2]']), 'gravity has 2 elements'),
     (dict(free=['arm.length', 'arm.length']), 'arm.length is free twice'),
+    (dict(free=['arm.damping_ratio', 'arm.damping_ratio[0]']), 'is free twice'),
     (dict(free=[]), 'at least one free parameter'),
     (dict(free=['~inf']), 'at least one free parameter'),
     (dict(free='arm.length'), 'free must be a list of names'),

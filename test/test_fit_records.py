@@ -293,3 +293,12 @@ def test_effects_that_cannot_be_tried_do_not_cost_the_fit(monkeypatch, error):
                          ['motor.viscous_friction'], auto=True, quick=True)
     assert found.estimates['motor.viscous_friction'].value == pytest.approx(0.05, rel=0.01)
     assert found.ladder[-1] == f'no more effects were tried: {error}'
+
+
+def test_a_record_that_is_held_out_and_cannot_be_run_is_not_said_to_be_missing():
+    record = timo_sim.Record.of({'torque': (T, SQUARE)}, {'shaft': turned()})
+    held = timo_sim.Record.of({'torque': (T, 1e7 * SQUARE)}, record.outputs)
+    with pytest.warns(timo_sim.ModelWarning, match=r'one run of the whole record \(record 2\) is'):
+        found = timo_sim.fit(SCENE.vary({'motor.viscous_friction': 0.06}), record,
+                             ['motor.viscous_friction'], hold_out_records=[held], quick=True)
+    assert found.verdict.startswith('nothing that can be compared was held out')

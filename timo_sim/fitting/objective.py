@@ -195,20 +195,18 @@ class Objective:
             sizes.append((size, spread_of(measured) if wrong else 0.0))
         parts = [(size / spread)**2 for size, spread in sizes if spread]
         for (k, name, _), (size, spread) in zip(self.series(), sizes):
-            deviation = self.deviations[k][name]
             known = self.problems[k].record.outputs[name].noise
             new = max(spread * math.sqrt(np.mean(parts)) if spread else size,
                       known or _MIN_DEVIATION * self._first[k][name])
             new = known if known and new <= 1.5 * known else new
-            change = max(change, abs(new / deviation - 1.0))
+            change = max(change, abs(new / self.deviations[k][name] - 1.0))
             self.deviations[k][name] = new
         return change
 
 
 def times_of_motion(problem: Problem, part: float) -> list[float]:
     """Return when a part of the motion of each output that is fitted is over [s]."""
-    t, ends = np.linspace(0.0, problem.until, _COARSE), []
-    for channel in problem.record.outputs.values():
-        motion = np.cumsum(np.diff(np.interp(t, channel.t, channel.values))**2)
-        ends.append(float(t[1 + np.searchsorted(motion, part * motion[-1])]))
-    return ends
+    t = np.linspace(0.0, problem.until, _COARSE)
+    motions = [np.cumsum(np.diff(np.interp(t, channel.t, channel.values))**2)
+               for channel in problem.record.outputs.values()]
+    return [float(t[1 + np.searchsorted(each, part * each[-1])]) for each in motions]

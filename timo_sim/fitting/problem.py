@@ -96,7 +96,7 @@ def free_parameters(names: Sequence[str], bounds: Mapping[str, Sequence[float]],
             raise ParameterError(f'{name} must be given without a value, since it stands for '
                                  f'several numbers, got {value}')
     for place, name in enumerate(wanted):
-        if name in wanted[:place]:
+        if name.removesuffix('[0]') in [each.removesuffix('[0]') for each in wanted[:place]]:
             raise ParameterError(f'{name} is free twice')
     for name in bounds:
         if name not in wanted:

@@ -256,8 +256,10 @@ class Fit(Prediction):
                  for unit in ['' if isinstance(part.record, Response) else unit_of(name)]
                  if math.isfinite(share := each.hold_out_rms / (
                      np.ptp(part.record.outputs[name].values) or math.nan))]
+        held_out = any(part.until < part.record.duration for part in (self, *self.more))
         return ('predicts what was held out with rms errors of ' + ', '.join(parts) if parts else
-                'nothing was held out, so nothing says how well it predicts')
+                f'nothing {"that can be compared " * held_out}was held out, so nothing says how '
+                'well it predicts')
 
     @property
     def misfit(self) -> float:
@@ -645,7 +647,7 @@ def _predict(problem, values, phases, place):
         run = problem.run(values, scene=refined(problem.scene_of(values)))
         return run, problem.predicted(values, run=run)
 
-    run, predicted = phases.attempt('one run of the whole record is', run_all, (None, {}),
+    run, predicted = phases.attempt(f'one run of the whole record{place} is', run_all, (None, {}),
                                     needed=True)
     _, again = (None, {}) if run is None else phases.attempt(
         'the numerical error is', lambda: run_all(lambda scene: refine(
