@@ -42,8 +42,7 @@ def read_log(path: str | Path, scene: Scene | None = None) -> tuple[Scene, Recor
     ParameterError if it has what a record cannot: settings, or forces in the axes of the arm.
     """
     recording = Recording(path)
-    own = recording.scene or scene
-    if own is None:
+    if (own := recording.scene or scene) is None:
         raise ParameterError(f'scene must be given with {path}, a plain bag, which has none')
     values = {**DEFAULTS, **(recording.parameters if recording.facts else {})}
     segment = segments_of(recording, own, values)[-1]

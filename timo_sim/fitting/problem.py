@@ -331,8 +331,7 @@ def vary(scene: Scene, changes: Mapping[str, Any]) -> Scene:
     try:
         return scene.vary(changes)
     except StepError as error:
-        parts = 2**math.ceil(math.log2(scene.step / error.longest))
-        if parts > _MAX_PARTS:
+        if (parts := 2**math.ceil(math.log2(scene.step / error.longest))) > _MAX_PARTS:
             raise
         return scene.vary({**changes, 'integrator.step': scene.step / parts})
 
@@ -500,8 +499,7 @@ def whiteness(residuals: np.ndarray) -> float:
     from scipy.stats import chi2
     r, n = residuals, len(residuals)
     lags = min(_LAGS, n // 4)
-    power = r @ r
-    if not power:
+    if not (power := r @ r):
         return 1.0
     lag = np.arange(1, lags + 1)
     correlation = np.array([r[k:] @ r[:-k] for k in lag]) / power
