@@ -245,7 +245,7 @@ class Observer(Stateful, PointsOfArm):
             If an argument breaks its rule; the estimate is then as before.
         DivergenceError
             As by `Simulator.step`, or if what was measured is so far off that the estimate is not
-            finite; it then goes on without that.
+            finite. The estimate then leaves out what was measured.
 
         """
         shown = {}  # by axis

@@ -123,8 +123,9 @@ class _Fit:
         even = np.arange(t[0], t[-1] + 0.5 * dt, dt)
         smooth = np.interp(even, t, values)
         # What a low-pass filter makes of samples has the same poles. Where there would be too few
-        # of its values for the fastest vibration they are those of the beginning alone. To find
-        # where the arm rings, means of all blocks do.
+        # of its values for the fastest vibration they are those of the beginning alone. It passes
+        # nearly all that its values can show, so that white noise stays white. To find where the
+        # arm rings, means of all blocks do.
         block = math.ceil(len(even) / most)
         self.weights = np.full(block, 1.0 / block)
         if block > 1 and most == _MOST:
@@ -228,7 +229,7 @@ def _fastest(values, dt):
     size = np.abs(np.fft.rfft(values - values.mean()))
     size[0] = 0.0
     peaks = np.flatnonzero(size > max(_HEARD * size.max(), _LOUD * np.median(size)))
-    return max(peaks, default=1) / (dt * len(values))
+    return (peaks[-1] if len(peaks) else 1) / (dt * len(values))
 
 
 def _pencil(values, dt):

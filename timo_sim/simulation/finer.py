@@ -297,5 +297,6 @@ class EstimatingSimulator(Simulator):
             self._is_commanded |= commanded is not None and bool(commanded.any())
             self._behind.append(_Call(count, None if commanded is None else commanded.copy(),
                                       samples.motions[1:].copy()))
+            # Motions of long calls would fill the memory.
             if len(self._behind) >= _MAX_PENDING_CALLS or count == CHUNK:
                 self.measure_error()

@@ -15,7 +15,7 @@ import numpy as np
 from timo_sim.compiled.constants import pack, Packed
 from timo_sim.model.formulation import Formulation
 from timo_sim.model.layout import (
-    Input, INPUTS, LOADS, rotate, STEP_LOADS, TIP_I, TIP_II, TORQUE, VOLTAGE)
+    INPUTS, LOADS, rotate, STEP_LOADS, TIP_I, TIP_II, TORQUE, VOLTAGE)
 from timo_sim.model.statics import pick_up
 from timo_sim.scene.bodies import motor_constants
 from timo_sim.scene.parameters import did_you_mean, numbers, ParameterError, short
@@ -46,7 +46,7 @@ def commanded_load(values: Mapping[str, Any], many: tuple[int, ...] = (),
     """
     Return commands, by name of ARGUMENTS, as a load or many loads, shape (*many, LOADS).
 
-    `values` has the parameters that inputs need, see `_idle_in`, as arrays of shape `many`.
+    `values` has carrier.held and what `Input.needs` names, as arrays of shape `many`.
     Commands are for all loads, or have an element for each. Raises ParameterError if a name is
     unknown, a command has not the right number of finite values, or an input has no effect: a
     voltage needs a DC motor, an acceleration a carrier that is held.
@@ -63,21 +63,17 @@ def commanded_load(values: Mapping[str, Any], many: tuple[int, ...] = (),
         load[..., columns] = numbers(name, given, *dict.fromkeys([shape, (*many, *shape)]))
         for column in columns if shape else [columns]:
             each, found = INPUTS[column], load[..., column]
-            idle, what = _idle_in(values, each)
-            lacking = found[(found != 0.0) & idle]
-            if lacking.size:
+            if each.needs:
+                idle, what = np.asarray(values[each.needs]) == 0.0, f'{each.needs} > 0, got 0'
+            elif each.group == 'base':
+                idle = ~np.isin(values['carrier.held'], (each.name[-1], 'both'))
+                what = f'a carrier that is held along {each.name[-1]}'
+            else:
+                continue
+            if (lacking := found[(found != 0.0) & idle]).size:
                 raise ParameterError(
                     f'{each.name} = {lacking.flat[0]:g} {each.unit} needs {what}')
     return load
-
-
-def _idle_in(values: Mapping[str, Any], given: Input) -> tuple[Any, str]:
-    """Return where an input has no effect, bool or an array of them, and what it needs."""
-    if given.needs:
-        return np.asarray(values[given.needs]) == 0.0, f'{given.needs} > 0, got 0'
-    axis = given.name[-1]
-    return (given.group == 'base' and ~np.isin(values['carrier.held'], (axis, 'both')),
-            f'a carrier that is held along {axis}')
 
 
 def unit_loads(values: Mapping[str, Any], inputs: Iterable[str]) -> np.ndarray:
